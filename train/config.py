@@ -1,4 +1,7 @@
-"""The configuration of a training run: a field for each option of `landing-train`, with its default."""
+"""The configuration of a training run: a field for each option of `landing-train`.
+
+Defaults that depend on the task, its dimensions and its vehicles are one table, in `envs.tasks.training`.
+"""
 
 from __future__ import annotations
 
@@ -17,7 +20,8 @@ from inclined_landing.models.base.schema import Many, Real, Share
 from inclined_landing.models.parameters import load_vehicle, locate_vehicle
 
 if TYPE_CHECKING:
-    from inclined_landing.envs.tasks.options import Training
+    from inclined_landing.envs.tasks.base import Task
+    from inclined_landing.envs.tasks.training import Training
 
 # Files of which a run keeps a copy, and its name there.
 COPIED = {"vehicle": "vehicle.toml", "randomise": "randomise.toml", "start_from": "from.zip"}
@@ -35,62 +39,12 @@ COMMON = (
     *("randomise", "nominal", "plant", "net_arch", "resume", "report"),
 )
 CARRIED_ON = 100_000  # min_steps of a run that goes on from a policy of its task
+VARIED = (
+    32  # iterations between evaluations of a run of a fixed length with drawn vehicles, which take longer
+)
 NET_ARCH = (64, 64)
 DESCENT = "descent"  # in place of a policy in --from: the feedback law of the module of this name
 FOR_PLANE = "landing-nominal"  # the policy that replaces it in the plane
-
-
-# --- defaults that depend on what is trained ----------------------------------------------------------
-
-# A row holds where all of its conditions do; of two that hold the later one wins. They replace values of the
-# task's own `training`; options that are given replace theirs.
-#   law: the task's training starts from the feedback law `descent`
-#   drawn: every episode's vehicle is drawn (the task's `drawn_vehicles`; not with --nominal or --fastest)
-#   one slope: neither --steepest nor --randomise is given
-#   from scratch: --from is not given
-#   fixed: the number of steps is fixed
-# `all_commands` says whether actions reach every PWM, as some vehicles need, or those around hover.
-DEFAULTS: tuple[tuple[dict[str, Any], dict[str, Any]], ...] = (
-    ({}, {"randomise": None, "history": 0, "all_commands": False, "evaluate_every": 16}),
-    ({"drawn": True}, {"randomise": "robust", "history": 3, "all_commands": True}),
-    # With a lambda of 0.95 half a million steps land 78 % of the drawn vehicles, with this one 84 % (means of
-    # four seeds).
-    (
-        {"drawn": True, "dimensions": 2, "one slope": True},
-        {"environments": 128, "rollout": 32, "gae_lambda": 0.85},
-    ),
-    (
-        {"drawn": True, "dimensions": 2, "one slope": True, "from scratch": True},
-        {"curriculum": "balanced", "evaluate_every": 8},
-    ),
-    # Vehicles differ in more than in the plane: with its rates one of three seeds learned the landing.
-    ({"drawn": True, "dimensions": 3, "law": False}, {"rollout": 128, "learning_rate": 1e-3}),
-    # Touchdown over moving platforms: one vehicle, whose platform's motion shows in the history.
-    ({"law": True, "dimensions": 3, "nominal": False}, {"history": 3, "all_commands": True}),
-    # Touchdown in the plane begins with a landing policy, and explores more.
-    (
-        {"law": True, "dimensions": 2},
-        {
-            "start_from": FOR_PLANE,
-            "learning_rate": 4e-4,
-            "log_std_init": -1.2,
-            "gamma": 0.99,
-            "steps": 1_500_000,
-            "environments": 64,
-            "batch_size": 512,
-        },
-    ),
-    ({"randomised": True, "fixed": True}, {"evaluate_every": 32}),
-)
-
-
-def defaults(**conditions: Any) -> dict[str, Any]:
-    """Return the values of the rows of DEFAULTS that apply under these conditions."""
-    values: dict[str, Any] = {}
-    for wanted, row in DEFAULTS:
-        if all(conditions[name.replace(" ", "_")] == value for name, value in wanted.items()):
-            values |= row
-    return values
 
 
 # --- options ----------------------------------------------------------------------------------------
@@ -305,23 +259,14 @@ def resolve(config: TrainConfig) -> TrainConfig:
 
     if config.nominal and config.randomise is not None:
         raise UserError("--nominal and --randomise cannot be combined")
-    is_drawn = (dimensions or 2) in kind.drawn_vehicles and config.fastest is None and not config.nominal
-    of_case = defaults(
-        law=training.start_from == DESCENT,
-        drawn=is_drawn,
-        dimensions=dimensions or 2,
-        nominal=config.nominal,
-        one_slope=config.randomise is None and config.steepest is None,
-        from_scratch=start is None,
-        randomised=is_drawn or config.randomise is not None,
-        fixed=config.steps is not None or training.success is None,
-    )
-    randomise = config.randomise or of_case["randomise"]
+    training = _usual(config, kind, dimensions or 2)
+    randomise = config.randomise or training.randomise
+    if randomise is not None and (config.steps is not None or training.success is None):
+        training = dataclasses.replace(training, evaluate_every=VARIED)
 
-    # The task's training defaults, except where options are given.
     named = [field.name for field in dataclasses.fields(training) if hasattr(config, field.name)]
-    training = dataclasses.replace(training, **{name: of_case[name] for name in named if name in of_case})
     chosen = {name: getattr(config, name) for name in named if getattr(config, name) is not None}
+    chosen.pop("randomise", None)
     learning = dataclasses.replace(training, **chosen)
     schema.check(learning, None, flag_of)
     values: dict[str, Any] = {name: getattr(learning, name) for name in named if name not in ENDING}
@@ -331,14 +276,10 @@ def resolve(config: TrainConfig) -> TrainConfig:
     same = policy if policy is not None and trained_task(policy) == kind.name else None
     before = {} if same is None else trained_options(same)
     values |= _ending(config, training, training.min_steps if same is None else CARRIED_ON)
-    values["evaluate_every"] = config.evaluate_every
-    if config.evaluate_every is None:
-        values["evaluate_every"] = of_case["evaluate_every"]
-    values["history"] = config.history
-    if config.history is None:
-        values["history"] = of_case["history"] if same is None else before.get("history", 0)
+    if same is not None and config.history is None:
+        values["history"] = before.get("history", 0)
     values["observe_vehicle"] = config.observe_vehicle or bool(before.get("observe_vehicle"))
-    values |= _action_map(config, policy, of_case["all_commands"])
+    values |= _action_map(config, policy, training.all_commands)
     values["net_arch"] = tuple(config.net_arch or _net_arch(policy) or NET_ARCH)
 
     samples = values["environments"] * values["rollout"]
@@ -354,6 +295,27 @@ def resolve(config: TrainConfig) -> TrainConfig:
         "randomise": None if randomise is None else Path(randomise),
     }
     return dataclasses.replace(config, **values)
+
+
+def _usual(config: TrainConfig, kind: type[Task], dimensions: int) -> Training:
+    """Return the defaults of a task in the case that the options select."""
+    from inclined_landing.envs.tasks.training import in_case
+
+    training = kind.training
+    is_drawn = dimensions in kind.drawn_vehicles and config.fastest is None and not config.nominal
+    if training.start_from == DESCENT:
+        training = in_case(training, "touchdown", "touchdown" if dimensions == 3 else "touchdown-2d")
+    elif is_drawn:
+        if dimensions == 3:
+            case = "drawn-space"
+        elif config.randomise is not None or config.steepest is not None:
+            case = "drawn-slopes"
+        else:
+            case = "drawn" if config.start_from is None else "drawn-from"
+        training = in_case(training, "landing", case)
+    if config.nominal:
+        return dataclasses.replace(training, randomise=None, history=0, all_commands=False)
+    return training if config.fastest is None else dataclasses.replace(training, randomise=None)
 
 
 def _ending(config: TrainConfig, training: Training, least: int) -> dict[str, Any]:

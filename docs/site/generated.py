@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import dataclasses
 import itertools
 import re
 from collections.abc import Iterable, Iterator
@@ -15,6 +16,8 @@ from inclined_landing.envs.spaces import action_space, observation_space
 from inclined_landing.envs.tasks import TASKS, Task, make_task
 from inclined_landing.envs.tasks import manual as task_manual
 from inclined_landing.envs.tasks.base import ACTIONS, COLUMNS
+from inclined_landing.envs.tasks.training import DEFAULTS, Training
+from inclined_landing.envs.tasks.training import __doc__ as manual
 from inclined_landing.eval import cli
 from inclined_landing.models.attitude import COMMAND_UNITS, STATE_UNITS
 from inclined_landing.models.effects import LIBRARY, Effect
@@ -86,21 +89,21 @@ def tasks() -> str:
             f'`make_task({name!r})`, `gymnasium.make("{kind.__name__}-v0")`\n',
             _observations(task),
             _actions(task),
-            _training(task),
             f"Control period {task.vehicle.command_control_period:g} s, at most {task.max_steps} steps.\n",
             '??? note "Manual of the task: goal, reward, end"\n',
             "\n".join(f"    {line}" if line else "" for line in task_manual(kind).splitlines()) + "\n",
         ]
-    return "\n".join(parts)
+    return "\n".join([*parts, _training()])
 
 
-def _training(task: Task) -> str:
-    """The training defaults, as options."""
-    defaults = {name: value for name, value in vars(task.training).items() if value is not None}
-    if task.training.success is None:  # then the steps are fixed beforehand
-        del defaults["min_steps"], defaults["max_steps"]
-    options = ", ".join(f"`{flag_of(name)} {value}`" for name, value in defaults.items())
-    return f"Training defaults: {options}.\n"
+def _training() -> str:
+    """The training defaults: a row for each option, a column for each case."""
+    rows = [
+        [f"`{flag_of(field.name)}`", *(str(getattr(case, field.name)) for case in DEFAULTS.values())]
+        for field in dataclasses.fields(TrainConfig)
+        if hasattr(Training, field.name)
+    ]
+    return f"## Training defaults\n\n```text\n{manual}```\n\n{table(['', *DEFAULTS], rows)}"
 
 
 def _observations(task: Task) -> str:

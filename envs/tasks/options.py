@@ -2,7 +2,6 @@
 
 The record of a task is its class's `options_type`, a frozen dataclass derived from `TaskOptions`. The
 constructor takes its fields as keyword arguments, and a policy file carries them as `task_options`.
-`Training`, the training defaults of a task, is a record of the same kind.
 """
 
 from __future__ import annotations
@@ -13,8 +12,6 @@ from typing import Annotated, Any
 from msgspec import Meta
 
 from inclined_landing.models.base import schema
-from inclined_landing.models.base.schema import Many, Share
-from inclined_landing.models.scene import Zone
 
 LONGEST_HISTORY = 50  # steps
 
@@ -63,41 +60,3 @@ class TaskOptions(Record):
     """Number of past steps, each an observation and an action, in the policy's input."""
     observe_vehicle: bool = option(False, trained_with=True)
     """Let the policy observe six parameters of its vehicle."""
-
-
-@dataclasses.dataclass(frozen=True)
-class Training(Record):
-    """Defaults for the options of `landing-train` with the same names."""
-
-    steps: Many | None = 1_000_000
-    """Fixed number of environment steps; None: the run ends by success."""
-    success: Share | None = None
-    """Success rate that ends the run when two evaluations in a row reach it."""
-    min_steps: Annotated[int, Meta(ge=0, le=10**9)] = 300_000
-    """Minimum number of environment steps of a run that ends by success."""
-    max_steps: Many = 3_000_000
-    """Maximum number of environment steps of a run that ends by success."""
-    start_from: str | None = None
-    """Policy to start from: a file, a shipped name, or the feedback law `descent`."""
-    integrator: str = "implicitfast"
-    """Integrator of the engine in training, with steps of 4 ms."""
-    keep_out: Zone = 0.04
-    """Width of a contact-free zone around the platform that counts as an obstacle in training [m]."""
-    curriculum: str = "none"
-    """Name of the curriculum, one of the task's `curricula`."""
-    environments: Annotated[int, Meta(ge=1, le=16_384)] = 64
-    """Number of vehicles simulated in parallel."""
-    rollout: Annotated[int, Meta(ge=1, le=65_536)] = 128
-    """Steps of each vehicle between two updates of PPO."""
-    batch_size: Annotated[int, Meta(ge=2, le=10**9)] = 512
-    """Samples in a minibatch, at most a whole rollout."""
-    epochs: Annotated[int, Meta(ge=1, le=1000)] = 5
-    """Passes over each rollout."""
-    learning_rate: Annotated[float, Meta(gt=0, lt=1)] = 1e-3
-    """Initial learning rate; the curriculum determines its decay."""
-    gamma: Annotated[float, Meta(gt=0, lt=1)] | str = 0.99
-    """Discount factor, or "paper": rising from 0.97 to 0.99 over 800 000 steps."""
-    gae_lambda: Share = 0.95
-    """Lambda of the generalised advantage estimate."""
-    log_std_init: Annotated[float, Meta(ge=-10, le=2)] = -0.4
-    """Logarithm of the initial exploration noise."""

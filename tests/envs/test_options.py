@@ -8,7 +8,7 @@ import pytest
 from msgspec import Meta
 
 from inclined_landing.envs.tasks import TASKS, InclinedLanding, InclinedTouchdown, SlopeLanding, make_task
-from inclined_landing.envs.tasks.options import Training
+from inclined_landing.envs.tasks.training import Training
 from inclined_landing.models.base.errors import UserError
 from inclined_landing.train.config import TrainConfig
 
@@ -18,7 +18,7 @@ RECORDS = [kind.options_type for kind in TASKS.values()]
 def test_landing_train_has_an_option_for_each():
     names = {field.name for record in (Training, *RECORDS) for field in dataclasses.fields(record)}
     found = {field.name: field.default for field in dataclasses.fields(TrainConfig)}
-    assert names - set(found) == {"azimuth", "observe_contact", "integrator", "keep_out"}
+    assert names - set(found) == {"azimuth", "observe_contact", "all_commands", "integrator", "keep_out"}
     assert all(found.get(name) in (None, False) for name in names)
 
 
