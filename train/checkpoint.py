@@ -12,6 +12,7 @@ from __future__ import annotations
 
 import io
 import json
+import os
 import zipfile
 from collections import deque
 from pathlib import Path
@@ -26,11 +27,18 @@ from inclined_landing.envs.sb3 import BatchVecEnv
 from inclined_landing.models.base import schema, storage
 from inclined_landing.models.base.errors import UserError, shown
 from inclined_landing.models.plants import Snapshot
+from inclined_landing.train.callbacks import TimeSpent
+from inclined_landing.train.config import COPIED, ENDING
+from inclined_landing.train.evaluation import PeriodicEvaluation
+from inclined_landing.train.learner import Learner
+from inclined_landing.train.record import FREE, RECORD, changed_entries, ranges_of
 
+CHECKPOINT = "checkpoint.pt"
 FORMAT = 1
 AVERAGE = "average."  # before the names of averaged weights
 _LARGEST = 2**30  # bytes
 _MOMENTS = ("step", "exp_avg", "exp_avg_sq")  # Adam's, of each parameter
+_BEFORE = {RECORD, *COPIED.values(), "tensorboard"}  # all that a run folder holds before its first checkpoint
 
 Count = Annotated[int, Meta(ge=0, le=2**53)]
 Row = dict[str, int | float]
@@ -61,6 +69,65 @@ class Checkpoint(NamedTuple):
     state: dict  # JSON types, NaN allowed
     arrays: dict[str, np.ndarray]
     best: bytes | None
+
+
+def save(learner: Learner, evaluation: PeriodicEvaluation, config: dict) -> None:
+    """Write everything needed to continue a run to its folder; config: as in run.json."""
+    numbers, arrays = training_state(learner.model, learner.env)
+    arrays |= {f"{AVERAGE}{name}": tensor.numpy() for name, tensor in learner.averages.items()}
+    state = numbers | {
+        "config": config,
+        "vehicle": changed_entries(learner.task.vehicle),
+        "ranges": ranges_of(learner.config),
+        "curriculum": learner.curriculum.state(),
+        "history": learner.history,
+        "evaluations": evaluation.rows,
+        "spent": dict(learner.clock.spent),
+        "cpu": learner.clock.cpu,
+    }
+    write(learner.config.folder / CHECKPOINT, Checkpoint(state, arrays, evaluation.best))
+
+
+def of_run(folder: Path) -> Checkpoint | None:
+    """Return the checkpoint of the run to resume; None if it was stopped before the first one."""
+    if os.path.lexists(folder / CHECKPOINT):
+        return read(folder / CHECKPOINT)
+    if others := {p.name for p in folder.iterdir() if not storage.is_part(p)} - _BEFORE:
+        raise UserError(
+            f"nothing to resume: {folder} lacks its {CHECKPOINT}, though it holds {min(others)}; "
+            "start a new run with another --out"
+        )
+    return None
+
+
+def resume(saved: Checkpoint, learner: Learner, evaluation: PeriodicEvaluation, recorded: dict) -> None:
+    """Set a new learner and its evaluation to a checkpoint; raise UserError if it does not fit.
+
+    recorded: the configuration in run.json.
+    """
+    config = learner.config
+    path, most = config.folder / CHECKPOINT, config.most_steps()
+    try:
+        state = restore(learner.model, learner.env, saved)
+        for name, value in recorded.items():
+            if name not in (*FREE, *ENDING) and state.config.get(name, value) != value:
+                raise UserError(f"belongs to another configuration: {name} differs from {RECORD}")
+        if state.vehicle != changed_entries(learner.task.vehicle):
+            raise UserError(f"belongs to a different vehicle than {COPIED['vehicle']}")
+        if state.ranges != ranges_of(config):
+            raise UserError(f"belongs to different ranges than {COPIED['randomise']}")
+        learner.curriculum.restore(state.curriculum)
+        learner.curriculum.log()
+        learner.averages = averages(learner.model, saved)
+        # The last iteration is a whole one, which may end after the steps that were requested.
+        if most <= state.steps - config.per_iteration:
+            raise UserError(f"has {state.steps} steps, more than the {most} requested")
+    except UserError as error:
+        raise refused(path, f"cannot be continued: {error}") from error
+    except (ArithmeticError, AttributeError, LookupError, RuntimeError, TypeError, ValueError) as error:
+        raise refused(path, "cannot be continued: its numbers do not fit together") from error
+    learner.history, learner.clock = state.history, TimeSpent(state.spent, state.cpu)
+    evaluation.rows, evaluation.best = state.evaluations, saved.best
 
 
 def write(path: Path, saved: Checkpoint) -> None:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from types import SimpleNamespace
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
@@ -11,13 +11,18 @@ from inclined_landing.envs.flights import record_flights
 from inclined_landing.envs.policy import Policy
 from inclined_landing.envs.randomise import read_ranges
 from inclined_landing.envs.shared.user_code import blame
+from inclined_landing.envs.tasks import is_path
 from inclined_landing.envs.tasks.base import VEHICLE_KINDS, Start
 from inclined_landing.envs.tasks.guard import TaskError
 from inclined_landing.models.attitude import LAG
+from inclined_landing.models.base import storage
 from inclined_landing.models.base.errors import UserError, shown
 from inclined_landing.models.plants import make_plant
 from inclined_landing.train import ppo
 from inclined_landing.train.config import TrainConfig
+
+if TYPE_CHECKING:
+    from inclined_landing.train.learner import Learner
 
 EVALUATION_STARTS = 64
 ENDING_STARTS = 256  # of evaluations that end a run
@@ -28,10 +33,12 @@ class PeriodicEvaluation:
 
     The starts have a separate random stream. In a randomised run two of three flights have a vehicle with one
     deviation (see `Ranges.each_alone`) and begin in hover; the score of all flights comes first, followed by
-    that of each kind.
+    that of each kind. `rows` are the evaluations so far and `best` is the policy file of the best one.
     """
 
     def __init__(self, config: TrainConfig):
+        self.rows: list[dict] = []
+        self.best: bytes | None = None
         self.task, self.seed = ppo.build_task(config), ppo.evaluation_seed(config)
         count = EVALUATION_STARTS if config.success is None else ENDING_STARTS
         count += 0 if config.randomise is None else count // 2
@@ -43,6 +50,25 @@ class PeriodicEvaluation:
         if self.plant.pool:
             others = np.flatnonzero(np.arange(count) % 3)
             self.plant.assign(others, 1 + np.arange(len(others)) % len(self.plant.pool))
+        if is_path(config.task):
+            self.rehearse()
+
+    def evaluate(self, learner: Learner) -> dict:
+        """Fly the learner's deterministic policy, keep the file of the best one, and return the score."""
+        learner.clock.switch("evaluation")
+        with learner.averaged():
+            score = self.score(learner.policy(self.task), len(self.rows))
+        if not self.rows or score["score"] >= max(row["score"] for row in self.rows):
+            self.best = learner.policy_file()
+            storage.write_bytes(learner.config.folder / "best.zip", self.best)
+        self.rows.append({"steps": learner.steps, **learner.clock.columns(), **score})
+        learner.clock.switch("training")
+        return score
+
+    @property
+    def last(self) -> str:
+        """The last evaluation in a few words; empty before the first one."""
+        return self.words(self.rows[-1]) if self.rows else ""
 
     def starts(self, number: int) -> Start:
         """Return the starts of one of the run's evaluations, numbered from 0."""

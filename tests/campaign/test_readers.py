@@ -33,8 +33,9 @@ from inclined_landing.eval.logs import FlightLog, limits, motion, read_log
 from inclined_landing.models.parameters import load_vehicle
 from inclined_landing.models.plants import PLANTS, make_plant
 from inclined_landing.train import cli as train
+from inclined_landing.train.checkpoint import CHECKPOINT
 from inclined_landing.train.config import TrainConfig
-from inclined_landing.train.run import CHECKPOINT, Run
+from inclined_landing.train.run import Run
 from inclined_landing.train.sweep.recipe import read_recipe
 from inclined_landing.train.sweep.recipe import shipped as shipped_recipes
 from tests import ROOT

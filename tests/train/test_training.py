@@ -22,10 +22,11 @@ from inclined_landing.models.attitude import LAG
 from inclined_landing.models.base.errors import UserError
 from inclined_landing.models.parameters import load_vehicle, write_vehicle
 from inclined_landing.train import cli, evaluation, ppo, warm_start
+from inclined_landing.train.checkpoint import CHECKPOINT
 from inclined_landing.train.config import CARRIED_ON, ENDING, TrainConfig
 from inclined_landing.train.curriculum import Curriculum
 from inclined_landing.train.events import EventFile
-from inclined_landing.train.run import CHECKPOINT, Run, train
+from inclined_landing.train.run import Run, train
 from tests.training import assert_same_policy, differences, weights
 
 TINY = {"environments": 8, "rollout": 16, "batch_size": 64, "epochs": 2, "steps": 512, "threads": 1,
@@ -134,7 +135,7 @@ def test_everything_that_a_run_has_is_restored(kind, tmp_path, monkeypatch):
     train_until(6, config(tmp_path / "cut", **options), monkeypatch)
     resumed = train_until(10, TrainConfig(out=tmp_path / "cut", resume=True), monkeypatch)
     assert not differences(whole, resumed)
-    resumed.curriculum.most_restarts += 1
+    resumed.learner.curriculum.most_restarts += 1
     assert len(differences(whole, resumed)) == 1
 
 
@@ -182,13 +183,13 @@ def test_a_run_trains_evaluates_and_resumes_with_its_vehicle_and_slope(tmp_path)
     write_vehicle(file, heavy)
     out, slope = tmp_path / "run", math.radians(15)
     begun = Run(config(out, vehicle=file, inclination=15, max_seconds=1e-6))
-    assert begun.env.env.plant.vehicle == begun.evaluation.plant.vehicle == heavy
-    assert begun.task.pwm_centre == heavy.hover_pwm
+    assert begun.learner.env.env.plant.vehicle == begun.evaluation.plant.vehicle == heavy
+    assert begun.learner.task.pwm_centre == heavy.hover_pwm
     begun.execute()
     file.unlink()  # the run has a copy
     resumed = Run(TrainConfig(out=out, resume=True))
-    assert resumed.env.env.plant.vehicle == resumed.evaluation.task.vehicle == heavy
-    assert resumed.task.inclination == resumed.evaluation.task.inclination == slope
+    assert resumed.learner.env.env.plant.vehicle == resumed.evaluation.task.vehicle == heavy
+    assert resumed.learner.task.inclination == resumed.evaluation.task.inclination == slope
     resumed.execute()
     policy = load_policy(out / "final.zip")
     assert policy.metadata["vehicle"] == {"body_mass": heavy.body_mass}
@@ -202,7 +203,7 @@ def test_a_run_goes_on_from_a_policy_of_its_own_task(task, tmp_path):
     """Its actor, its noise and its critic; the actor is left alone at first, the critic learns."""
     begun = Run(config(tmp_path / "a", task=task, start_from=task, steps=256))
     shipped = weights(load_policy(task).path)
-    for name, own in begun.model.policy.state_dict().items():
+    for name, own in begun.learner.model.policy.state_dict().items():
         np.testing.assert_array_equal(own, np.float32(shipped[name]))
     folder = begun.folder
     begun.execute()
@@ -234,16 +235,22 @@ def test_a_run_goes_on_without_the_policy_that_it_started_from(tmp_path, landing
 def test_a_landing_run_that_goes_on_begins_at_the_end_of_its_curriculum(tmp_path):
     """And may end after the steps in which the critic comes first, and some; a new run has more."""
     begun = Run(TrainConfig(out=tmp_path / "a", start_from="landing-nominal", nominal=True))
-    assert begun.curriculum.level == 1.0 and begun.config.min_steps == CARRIED_ON > warm_start.CRITIC_FIRST
-    assert begun.curriculum.learning_rate_share(0, None) == 1.0
-    begun.curriculum.advance(8192)
-    assert begun.curriculum.learning_rate_share(10**6, None) == 1.0  # it does not succeed yet
+    assert (
+        begun.learner.curriculum.level == 1.0
+        and begun.config.min_steps == CARRIED_ON > warm_start.CRITIC_FIRST
+    )
+    assert begun.learner.curriculum.learning_rate_share(0, None) == 1.0
+    begun.learner.curriculum.advance(8192)
+    assert begun.learner.curriculum.learning_rate_share(10**6, None) == 1.0  # it does not succeed yet
     for _ in range(60):
-        begun.curriculum.episode(success=True, length=50)
-    begun.curriculum.advance(8192)
-    assert begun.curriculum.learning_rate_share(8192 + begun.curriculum.settling // 2, None) == 0.5
+        begun.learner.curriculum.episode(success=True, length=50)
+    begun.learner.curriculum.advance(8192)
+    assert (
+        begun.learner.curriculum.learning_rate_share(8192 + begun.learner.curriculum.settling // 2, None)
+        == 0.5
+    )
     new = Run(TrainConfig(out=tmp_path / "b", nominal=True))
-    assert new.curriculum.level == 0.0 and new.config.min_steps == new.env.env.task.training.min_steps
+    assert new.learner.curriculum.level == 0.0 and new.config.min_steps == new.learner.task.training.min_steps
 
 
 def test_a_run_goes_on_over_a_platform_of_another_height(tmp_path):
@@ -252,22 +259,24 @@ def test_a_run_goes_on_over_a_platform_of_another_height(tmp_path):
     write_vehicle(file, shipped.changed(platform_surface_height=1.1))
     begun = Run(config(tmp_path / "a", start_from="landing-nominal", vehicle=file))
     same = Run(config(tmp_path / "b", start_from="landing-nominal"))
-    assert begun.env.env.task.goal_position[1] == pytest.approx(same.env.env.task.goal_position[1] - 0.05)
+    assert begun.learner.task.goal_position[1] == pytest.approx(same.learner.task.goal_position[1] - 0.05)
     given = np.random.default_rng(0).normal(0.0, 1.0, (20, 5)).astype(np.float32)
-    taken, _ = begun.model.predict(given, deterministic=True)
+    taken, _ = begun.learner.model.predict(given, deterministic=True)
     np.testing.assert_allclose(taken, load_policy("landing-nominal").predict(given), atol=1e-5)  # float32
-    values = [run.model.policy.predict_values(torch.as_tensor(given)).detach() for run in (begun, same)]
+    values = [
+        run.learner.model.policy.predict_values(torch.as_tensor(given)).detach() for run in (begun, same)
+    ]
     np.testing.assert_allclose(*values, rtol=1e-4, atol=1e-4)
 
 
 def test_a_run_goes_on_with_a_longer_history_that_counts_nothing_at_first(tmp_path):
     """And with the same one where none is asked for; never with a shorter one."""
     begun = Run(config(tmp_path / "a", start_from="landing-nominal", history=2, steps=256, inclination=10.0))
-    task = begun.env.env.task
+    task = begun.learner.task
     assert task.history == 2 and begun.evaluation.task.options == task.options
-    assert begun.teacher.task.inclination == task.inclination == math.radians(10.0)
+    assert begun.learner.teacher.task.inclination == task.inclination == math.radians(10.0)
     given = np.random.default_rng(0).normal(0.0, 1.0, (20, 5 + 2 * 7)).astype(np.float32)
-    taken, _ = begun.model.predict(given, deterministic=True)
+    taken, _ = begun.learner.model.predict(given, deterministic=True)
     np.testing.assert_allclose(
         taken, load_policy("landing-nominal").predict(given[:, :5]), atol=1e-5
     )  # float32
@@ -310,7 +319,7 @@ def test_a_randomised_run_is_resumed_bit_for_bit_with_its_copy(tmp_path):
     train(config(out, **options, max_seconds=0.5))
     ranges.unlink()  # the run has its own
     resumed = Run(TrainConfig(out=out, resume=True))
-    assert resumed.env.env.nominal == 0.2 and len(resumed.env.env.plant.pool) == FEW
+    assert resumed.learner.env.env.nominal == 0.2 and len(resumed.learner.env.env.plant.pool) == FEW
     resumed.execute()
     assert_same_policy(whole / "final.zip", out / "final.zip")
     assert load_policy(out / "final.zip").metadata["ranges"]["body"] == {"mass": [0.03, 0.04]}
@@ -329,7 +338,7 @@ def test_two_of_three_evaluated_flights_have_varied_vehicles(tmp_path):
         begun.evaluation.starts(0).state[:, LAG], plant.hover_share * plant.vehicle.hover_lag
     )
     begun.execute()
-    last = begun.evaluations[-1]
+    last = begun.evaluation.rows[-1]
     assert last["score"] == pytest.approx((last["score_nominal"] + 2 * last["score_varied"]) / 3)
     assert (tmp_path / "run" / "randomise.toml").read_text("utf-8") == locate("robust").read_text("utf-8")
     assert Run(TrainConfig(out=tmp_path / "run", resume=True)).metrics is not None
@@ -349,8 +358,8 @@ def test_a_policy_is_carried_over_to_another_action_map(tmp_path):
     shipped = load_policy("landing-nominal")
     begun = Run(config(tmp_path / "a", start_from="landing-nominal", pwm_centre=40_000.0, pwm_span=24_000.0))
     begun.folder.mkdir()
-    own, path = begun.env.env.task, tmp_path / "carried.zip"
-    path.write_bytes(begun.policy_file())
+    own, path = begun.learner.task, tmp_path / "carried.zip"
+    path.write_bytes(begun.learner.policy_file())
     carried = load_policy(path)
     for task in (own, carried.task):
         assert (task.pwm_centre, task.pwm_span) == (40_000, 24_000)
@@ -365,7 +374,7 @@ def test_a_policy_is_carried_over_to_another_action_map(tmp_path):
     noise = [np.exp(weights(p.path)["log_std"]) * [p.task.pwm_span, 1.0] for p in (shipped, carried)]
     np.testing.assert_allclose(*noise, rtol=1e-6)
     again = Run(config(tmp_path / "b", start_from=str(path)))
-    assert (again.env.env.task.pwm_centre, again.env.env.task.pwm_span) == (40_000, 24_000)
+    assert (again.learner.task.pwm_centre, again.learner.task.pwm_span) == (40_000, 24_000)
 
 
 @pytest.mark.parametrize(
@@ -392,12 +401,12 @@ def test_training_applies_the_curriculum_and_evaluation_does_not(tmp_path):
     """The vehicles train under the first stage; the judge's task and plant are the plain ones."""
     begun = Run(config(tmp_path / "a"))
     begun.execute()
-    assert begun.env.env.task.conditions == begun.curriculum.conditions()
-    assert not begun.env.env.task.conditions.platform
+    assert begun.learner.task.conditions == begun.learner.curriculum.conditions()
+    assert not begun.learner.task.conditions.platform
     assert begun.evaluation.task.conditions == type(begun.evaluation.task.conditions)()
     plant = begun.evaluation.plant
     assert plant.keep_out == 0.0 and plant.kind == "hybrid" and plant.attitude == "rate_loop"
-    assert begun.env.env.plant.keep_out == 0.04
+    assert begun.learner.env.env.plant.keep_out == 0.04
 
 
 # --- runs that end by success ------------------------------------------------------------------------
@@ -427,7 +436,7 @@ def test_a_run_ends_at_two_good_evaluations_in_a_row(tmp_path, scores):
     metrics = begun.execute()
     assert metrics["steps"] == 8 * 64 and metrics["finished"] and metrics["reached"] is True
     assert metrics["ended"] == "two evaluations in a row at 99 % after 512 steps"
-    assert [e["score"] for e in begun.evaluations] == [0.99, 0.98, 0.99, 0.995]
+    assert [e["score"] for e in begun.evaluation.rows] == [0.99, 0.98, 0.99, 0.995]
     assert Run(TrainConfig(out=tmp_path / "a", resume=True)).metrics["reached"] is True
     fixed, _ = train(config(tmp_path / "b", **OPEN | {"steps": 512}))  # with another learning rate
     assert load_policy(fixed / "final.zip").metadata["steps"] == 512
@@ -449,9 +458,9 @@ def test_on_varied_vehicles_a_run_learns_again_until_it_lands_them_too(tmp_path,
     again: list[int] = []
     options = OPEN | {"evaluate_every": 1, "min_steps": 0, "randomise": Path("robust")}
     run = Run(config(tmp_path / "a", **options))
-    monkeypatch.setattr(run.curriculum, "most_restarts", 1)
-    monkeypatch.setattr(Curriculum, "learn_again", lambda _: again.append(run.model.num_timesteps))
-    monkeypatch.setattr(type(run.curriculum), "learn_again", Curriculum.learn_again)
+    monkeypatch.setattr(run.learner.curriculum, "most_restarts", 1)
+    monkeypatch.setattr(Curriculum, "learn_again", lambda _: again.append(run.learner.model.num_timesteps))
+    monkeypatch.setattr(type(run.learner.curriculum), "learn_again", Curriculum.learn_again)
     metrics = run.execute()
     assert again == [8 * 64]
     assert metrics["reached"] is True and metrics["steps"] == 11 * 64
@@ -564,8 +573,8 @@ def test_evaluation_starts_are_neither_training_starts_nor_another_seeds(tmp_pat
     assert not np.array_equal(first, judges[1].starts(0).state)
     assert not np.array_equal(first, judges[0].starts(1).state)
     trained = Run(config(tmp_path / "c", seed=0, curriculum="none"))
-    trained.env.reset()
-    assert not set(trained.env.env.plant.state[:, 0]) & set(first[:, 0])
+    trained.learner.env.reset()
+    assert not set(trained.learner.env.env.plant.state[:, 0]) & set(first[:, 0])
 
 
 # --- a policy that observes its vehicle's parameters -------------------------------------------------

@@ -1,0 +1,83 @@
+"""What learns in a run: the vehicles, the network and the curriculum, and the policy that they lead to."""
+
+from __future__ import annotations
+
+from contextlib import AbstractContextManager
+
+import torch
+
+from inclined_landing.envs.policy import Policy
+from inclined_landing.envs.save import actor_of, write_policy
+from inclined_landing.envs.tasks import Task, is_path
+from inclined_landing.models.base import storage
+from inclined_landing.models.parameters import load_vehicle
+from inclined_landing.train import ppo, warm_start
+from inclined_landing.train.callbacks import TimeSpent, with_weights
+from inclined_landing.train.config import TrainConfig
+from inclined_landing.train.record import changed_entries, ranges_of
+
+
+class Learner:
+    """The vehicles, the model and the curriculum of a resolved configuration, in their initial state.
+
+    record: the content of run.json, which policy files repeat. fresh: whether the run begins here, and takes
+    over the policy or law to start from, which is the `teacher`. `history` has a row for each iteration;
+    `averages` are those of the weights, by name, empty without averaging.
+    """
+
+    def __init__(self, config: TrainConfig, record: dict, fresh: bool):
+        self.config, self.record = config, record
+        self.env = ppo.training_environment(config)
+        self.task: Task = self.env.env.task
+        self.curriculum = ppo.build_curriculum(config)
+        self.history: list[dict] = []
+        self.averages: dict[str, torch.Tensor] = {}
+        self.clock = TimeSpent()
+        self.teacher = None
+        if config.start_from and fresh:
+            vehicle = load_vehicle(config.vehicle) if config.vehicle is not None else None
+            self.teacher = warm_start.teacher(config.start_from, self.task, vehicle)
+        self.model = ppo.build_model(config, self.env)
+        if isinstance(self.teacher, Policy):
+            warm_start.take_over(self.model, self.teacher)
+            if self.teacher.task.name == self.task.name:
+                self.curriculum.skip()
+
+    @property
+    def steps(self) -> int:
+        """Number of environment steps so far."""
+        return int(self.model.num_timesteps)
+
+    def teach(self) -> None:
+        """Teach a new model what the teacher's weights do not contain."""
+        if self.teacher is not None:
+            warm_start.teach(self.model, self.env.env, self.teacher, self.config.seed)
+
+    def averaged(self) -> AbstractContextManager[None]:
+        """Let the model have its averaged weights, if there are any, in a `with` statement."""
+        return with_weights(self.model.policy, self.averages)
+
+    def policy(self, task: Task) -> Policy:
+        """Return the present policy for flights of a task."""
+        path = self.config.folder / "final.zip"
+        return Policy(task=task, metadata={}, path=path, **actor_of(self.model))
+
+    def policy_file(self) -> bytes:
+        """Return the present policy with its metadata, as a file."""
+        config = self.config
+        metadata = {
+            "task": self.task.name,
+            **({"task_from": config.task} if is_path(config.task) else {}),
+            "task_options": self.task.options,
+            "plant": config.plant,
+            "algorithm": "PPO",
+            "curriculum": self.curriculum.name,
+            "seed": config.seed,
+            "steps": self.steps,
+            **({"vehicle": changed_entries(self.task.vehicle)} if config.vehicle is not None else {}),
+            **({"ranges": ranges_of(config)} if config.randomise is not None else {}),
+            **{name: value for name, value in self.record.items() if name != "config"},
+        }
+        with storage.scratch(config.folder / "policy.zip") as path, self.averaged():
+            write_policy(self.model, path, metadata, actor_of(self.model))
+            return path.read_bytes()
