@@ -46,7 +46,7 @@ RESTITUTION = (0.0, 0.6)  # supported range; above, tilted touches with friction
 FASTEST = 6.0  # m/s, normal speed at which a touch is still pushed out at the upper side
 # s; from three steps of 4 ms to six: at pi/2 0.1 m/FASTEST = 26 ms feet sink in by half of the slab's depth.
 CONTACT_TIME = (0.012, 0.024)
-# Of the scene's solimp: impedance of a contact deeper than 1 mm. With four feet down the effective
+# The impedance d of a contact deeper than 1 mm, from the scene's solimp. With four feet down the effective
 # one is 4 d/(1 + 3 d), because the engine softens each contact as if it carried the vehicle alone.
 _IMPEDANCE = 0.95
 _EFFECTIVE = 4 * _IMPEDANCE / (1 + 3 * _IMPEDANCE)

@@ -37,12 +37,14 @@ _VISUAL_GROUPS = (1, 2)
 _AT_A_MOTOR = re.compile(r"(?P<kind>[a-z]+)_(?P<x>front|rear)_(?P<y>left|right)(_\d)?")
 _WALL_HALF_HEIGHT = 0.8  # m; reaches below the floor at every inclination
 _WALL_HALF_THICKNESS = 0.045  # m; out of a touch that is less deep, the engine pushes to the outside
-# Of a moving platform's joints [kg, kg m2]: a touchdown of 0.1 N s changes its speed by 1e-6 m/s, for one
-# control period. The contact solver's tolerance is relative to the scene's inertia, and so as much smaller.
+# The inertia of a moving platform's joints [kg, kg m2] is so large that a touchdown of 0.1 N s changes its
+# speed by 1e-6 m/s, for one control period. The contact solver's tolerance is relative to the scene's
+# inertia, and is therefore smaller in proportion.
 _JOINT_INERTIA = 1e5
 _SOLVER_TOLERANCE = 1e-15
-# Of a slung load: share of its moment of inertia that its own size adds, least moment that the engine takes
-# [kg m2], mass [kg] that stands for none (of a Crazyflie's weight 3e-9); drawn as large as sand of its mass.
+# A slung load: the share of its moment of inertia that its own size adds, the least moment that the engine
+# takes [kg m2], and the mass [kg] that stands for none (3e-9 of a Crazyflie's); it is drawn as large as sand
+# of its mass.
 _POINT, _LEAST_INERTIA, _NO_LOAD = 1e-7, 1e-13, 1e-10
 _LOAD_DENSITY = 2000.0  # kg/m3, drawn
 _STRING_RADIUS = 0.0015  # m, drawn
@@ -204,7 +206,7 @@ def _hang_load(spec: mujoco.MjSpec, v: Vehicle, visuals: bool) -> None:
     body.add_joint(name="load", type=mujoco.mjtJoint.mjJNT_BALL)
     body.explicitinertial = True
     body.mass, body.ipos = mass, [0, 0, -length]
-    # As good as a point: adds this share to the moment of inertia m_l L^2 about the joint.
+    # The load is nearly a point: it adds this share to the moment of inertia m_l L^2 about the joint.
     body.inertia = [max(_POINT * mass * length**2, _LEAST_INERTIA)] * 3
     if not visuals:
         return

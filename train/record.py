@@ -77,7 +77,7 @@ def stored(config: TrainConfig, given: Container[str] = ()) -> tuple[TrainConfig
             then = found.versions.get(package)
             if then != now:
                 raise UserError(f"it was begun with {package} {then}, and {now} would continue differently")
-        # Of a run of other versions of this package: options that are gone play no part, new ones are at
+        # A run of another version of this package: options that are gone play no part, and new ones have
         # their defaults.
         names = {field.name for field in dataclasses.fields(TrainConfig)}
         written = {name: value for name, value in found.config.items() if name in names}

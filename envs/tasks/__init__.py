@@ -34,7 +34,7 @@ from inclined_landing.models.base.errors import UserError, shown
 TASKS: dict[str, type[Task]] = {
     name: getattr(import_module(f"{__name__}.{name}"), kind) for name, kind in TASK_CLASSES.items()
 }
-# Of a planar task: its classes on slopes, in space and over moving platforms.
+# The classes that a planar task has on slopes, in space and over moving platforms.
 FURTHER: dict[type[Task], tuple[type[Task], type[Task], type[Task]]] = {
     InclinedLanding: (SlopeLanding, SpaceLanding, MovingLanding),
     InclinedTouchdown: (SlopeTouchdown, SpaceTouchdown, MovingTouchdown),

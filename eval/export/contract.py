@@ -36,7 +36,7 @@ FRAMES = {
     "accelerates towards +x, positive roll towards -y",
     "body": "the vehicle's own axes: x ahead, z along the thrust",
 }
-# Of tasks that observe the slope, everything.
+# The frame of all observations in tasks that observe the slope.
 _SURFACE = (
     "from the centre of the platform's surface, along level axes turned about the vertical by the azimuth "
     "that the slope faces. Roll and pitch are those of a vehicle of that heading with the same thrust axis, "

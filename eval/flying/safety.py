@@ -152,7 +152,7 @@ CAUSES = (  # in the order in which they are asked
     Cause("approach takes too long", f"the start is not reached after {APPROACH_LIMIT:g} s", _LAND),
     Cause("landing takes too long", "longer than an episode of the task (6 s)", _LAND),
 )
-# What a limit is called that only these make seem passed, by its reaction.
+# The cause that replaces a limit, by its reaction, where only these samples make it seem exceeded.
 LATE = {
     reaction: Cause(
         "late",

@@ -27,7 +27,7 @@ SENDING, PERIOD = 1.0, 0.01  # s for which the stop is sent, and how often: any 
 # protocol 12 `crtp_localization_service.c`). None of them needs more than an open link.
 STOPS = ((7, 0, b"\x00"), (9, 1, b"\x03"), (6, 1, b"\x03"))
 _READY, _OVER = b"ready\n", b"over\n"
-# Of Ctrl-C, `kill`, a closed terminal, Ctrl-\ and Ctrl-Z, which would stop the pilot in mid-air.
+# The signals of Ctrl-C, `kill`, a closed terminal, Ctrl-\ and Ctrl-Z, which would stop the pilot in mid-air.
 _SIGNALS = (signal.SIGINT, signal.SIGTERM, signal.SIGHUP, signal.SIGQUIT, signal.SIGTSTP)
 
 

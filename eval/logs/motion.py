@@ -27,10 +27,11 @@ LEAST_EXCITATION = 0.015  # rad rms of tilt, or twice what 1 mm of noise looks l
 LEAST_CORRELATION = 0.6  # correlation from which two columns are said to show the same motion
 SURE_CORRELATION = 0.8  # from which their scales are compared
 MOST_RATIO = 20.0  # of an acceleration to what the attitude gives, beyond which a unit is wrong
-# Of one axis to another: 0.9 to 1.1 in public and simulated flights. Feet are 3.3, degrees 57.
+# The largest ratio of one axis to another, which is 0.9 to 1.1 in public and simulated flights. Feet are 3.3,
+# degrees 57.
 AXES_RATIO = 2.0
-# Of the relative change of the specific force to that of the command: 0.5 to 1.1 in these flights, 2 where
-# thrust goes with the command's square.
+# The ratio of the relative change of the specific force to that of the command is 0.5 to 1.1 in these
+# flights, 2 where thrust goes with the command's square.
 MOST_GAIN = 2.5
 # Circling against drag turns the tilt against the acceleration too, by up to 13 deg in NanoBench flights.
 SUSPICIOUS_TURN = np.radians(20.0)
@@ -40,8 +41,8 @@ LONGEST_DELAY = 0.3  # s: the slowest attitude loop and radio known here stay be
 LONGEST_LEAD = 0.015  # s by which a response may seem to lead its cause before the clocks are doubted
 STILL, STANDS = 0.03, 0.5  # m/s below which, and s for which at least, a vehicle that stands does not move
 PLACE = 0.005  # m that the measured position of a vehicle that stands may stray
-# Of the command in flight, by which that of a vehicle that does not move differs from it only where something
-# holds the vehicle: near the ground, and with another battery voltage, it differs by less.
+# A vehicle that does not move has a command that differs from the one in flight by this share only where
+# something holds it: near the ground, and with another battery voltage, the difference is smaller.
 STANDING_DIFFERENCE = 0.2
 LEAST_QW = 0.1  # which few quaternions of level vehicles are below, those that face backwards
 CLEARANCE = 0.1  # m above the lowest row, from which a vehicle that climbs is in the air

@@ -30,8 +30,9 @@ TURN, LARGEST_TURNING = 0.15, 300.0  # rad, rad/s2: the same of the attitude
 LEANS = 0.02  # rad rms by which no vehicle leans that stays in its place
 LARGEST_SPEED = 15.0  # m/s
 LARGEST_DISTANCE = 200.0  # m
-# Of a rotor's speed to the median of the other three, in lasting flight. Thrust goes with its square: beyond,
-# one rotor would give less than 4/9 or more than 9/4 of what the others give, and torques would not balance.
+# The largest ratio of a rotor's speed to the median of the other three in lasting flight. Thrust goes with
+# its square: beyond, one rotor would give less than 4/9 or more than 9/4 of what the others give, and torques
+# would not balance.
 SPEED_RATIO = 1.5
 FAILED_SHARE = 0.1  # of the rows in flight: manoeuvres pass
 _ATTITUDE_COMMANDS = (  # command, the largest in SI units, its unit
@@ -95,7 +96,7 @@ def _check_position(log: FlightLog) -> Iterator[Finding]:
         yield refuse("x, y, z", "columns x, y, z never change: not a flight, or not a measurement")
         return
     speed = np.linalg.norm(np.diff(log.position, axis=0), axis=1) / np.maximum(np.diff(log.t), 1 / log.rate)
-    # Of nearly all rows: a few of them, wherever they lie, are no reason to doubt the unit.
+    # Nearly all rows must show it: a few of them, wherever they lie, are no reason to doubt the unit.
     top, span = np.percentile(speed, 90), np.ptp(np.percentile(log.position, (10, 90), axis=0), axis=0).max()
     if top > LARGEST_SPEED or span > LARGEST_DISTANCE:
         moves = f"move at {top:.3g} m/s" if top > LARGEST_SPEED else f"span {span:.3g} m"

@@ -28,8 +28,8 @@ from inclined_landing.models.vehicle import Vehicle
 
 DURATION = 2.0  # s after a motor cut
 _STILL = 0.15  # s
-# Of the speeds of rest: what slides away at constant acceleration, and is slower for _STILL, has not reached
-# them after DURATION, as (1 + DURATION / _STILL) / 15 < 1.
+# A share of the speeds of rest. A vehicle that slides away at constant acceleration, and is slower than this
+# share for _STILL, has not reached those speeds after DURATION, as (1 + DURATION / _STILL) / 15 < 1.
 _SLOW = 1 / 15
 _LOOK = 5 * STEP  # s, after which it is asked which vehicles are at rest
 

@@ -112,8 +112,8 @@ EFFECTS = (
                 negligible=1e-4,
                 along_the_arm=True,
             ),
-            # By which the loops take the moment over: of the firmware kp ki'/(kp kp' + ki') with its gains 6
-            # of the angle and 250, 500 of the rate; of loops without integrals nearly 0.
+            # The rate at which the loops take the moment over is kp ki'/(kp kp' + ki') in the firmware, with
+            # its gains 6 of the angle and 250, 500 of the rate; in loops without integrals it is nearly 0.
             Parameter(
                 "hold",
                 unit="rad/(rad s)",

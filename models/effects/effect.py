@@ -99,7 +99,7 @@ class Parameter:
     # Field of Vehicle, or `field.k` for its number k: one-signed, it may shrink by what is there.
     adds_to: str = ""
     is_reference: bool = False  # where another parameter acts about; no size of its own, any value is neutral
-    # Of a reference: two sizes, one about each of its bounds, act like one size about a value between them.
+    # For a reference: two sizes, one about each of its bounds, act like one size about a value between them.
     linear: bool = True
     constant: FittedConstant | None = None
     along_the_arm: bool = False  # a length that goes with the vehicle's arms
@@ -246,8 +246,8 @@ class Effect:
     of_the_place: bool = False  # of the surroundings: another value on another day or in another room
     # Whether `identify` fits it; else it stays as it is: a fault of one part, what ordinary flights hide.
     identified: bool = True
-    # What flights see of it where its size follows only with another constant known: the acceleration that it
-    # makes in hover, as part of a sentence on that product.
+    # Where its size follows only with another constant known, flights show a product: the acceleration that
+    # it causes in hover. This is the part of a sentence on that product.
     product: str = ""
     told_by: str = ""  # how it is measured without a flight, a sentence; "": by flights
 

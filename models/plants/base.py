@@ -112,7 +112,7 @@ class Plant:
         self.load = hanging(n) if any(v.effects_load_mass > 0.0 for v in self._vehicles) else UNLOADED
         self.perturbation = perturbation.neutral(n)
         self._everyone, self._alike = np.arange(n), np.zeros(n, int)
-        # Whose constants each has: 0 the plant's own, k those of the k-th of the pool.
+        # The vehicle whose constants each one has: 0 is the plant's, k the k-th of the pool.
         self.choice = np.zeros(n, int)
         self.delays = Delays(self.choice, self._vehicles, self.control_period)
         self._records = np.concatenate([forces.pack(member) for member in self._vehicles])

@@ -39,7 +39,7 @@ from inclined_landing.models.vehicle import Vehicle
 
 CHANNELS = ("x", "y", "z", "roll", "pitch", "yaw")  # of the pose
 REQUEST_CHANNELS = ("roll request", "pitch request", "yaw request")
-# Of a disturbance in a channel.
+# The unit of a disturbance in each channel.
 UNITS_OF = {
     **dict.fromkeys(CHANNELS[:3], "m/s2"),
     **dict.fromkeys(CHANNELS[3:], "rad/s2"),
