@@ -8,8 +8,7 @@ from pathlib import Path
 
 import numpy as np
 
-from inclined_landing.envs.tasks import Task
-from inclined_landing.eval.export.network import ExportNetwork
+from inclined_landing.envs.policy import Policy
 from inclined_landing.eval.export.templates import render
 from inclined_landing.eval.export.vectors import Vectors
 from inclined_landing.models.base import storage
@@ -20,17 +19,18 @@ SMALL = 100_000  # bytes that are no burden beside the firmware
 _PER_LINE = 6
 
 
-def write(folder: Path, task: Task, network: ExportNetwork, contract: dict, vectors: Vectors) -> None:
+def write(folder: Path, policy: Policy, contract: dict, vectors: Vectors) -> None:
     """Write the C source into `folder`.
 
     Raises UserError when the constants would not fit next to the firmware.
     """
-    if 4 * network.numbers > LARGEST:
+    size = 4 * contract["cost"]["constants"]
+    if size > LARGEST:
         raise UserError(
-            f"policy {contract['policy']['name']} has {4 * network.numbers} bytes of constants; the C export "
-            f"takes at most {LARGEST}, half of the flash of a Crazyflie"
+            f"policy {policy.name} has {size} bytes of constants; the C export takes at most {LARGEST}, half "
+            "of the flash of a Crazyflie"
         )
-    content = _template_values(contract, network, vectors)
+    content = _template_values(contract, policy, vectors)
     source = folder / "src"
     source.mkdir()
     for name in ("landing_policy.h", "landing_policy.c"):
@@ -39,34 +39,34 @@ def write(folder: Path, task: Task, network: ExportNetwork, contract: dict, vect
     storage.write_text(folder / "README.md", render("c/README.md.j2", **content))
 
 
-def _template_values(contract: dict, network: ExportNetwork, vectors: Vectors) -> dict:
-    history, o, a = contract["input"]["history"]["steps"], len(contract["observation"]), network.sizes[-1]
-    widest, task = max(network.inputs, *network.sizes), contract["task"]["name"]
-    stack = 4 * (2 * widest + (network.inputs + a) * (history > 0))
-    stack += 4 * (1 + (network.inputs - o) * (history > 0) + a)  # of the self test
+def _template_values(contract: dict, policy: Policy, vectors: Vectors) -> dict:
+    history, o = contract["input"]["history"]["steps"], len(contract["observation"])
+    inputs, layers = contract["input"]["size"], contract["network"]["layers"]
+    widest, a, task = max(inputs, *layers), layers[-1], contract["task"]["name"]
+    stack = 4 * (2 * widest + (inputs + a) * (history > 0))
+    stack += 4 * (1 + (inputs - o) * (history > 0) + a)  # of the self test
     return {
         **contract,
         "about": f"Policy {_comment_text(contract['policy']['name'])} of the task {task}, exported by "
         f"inclined-landing {contract['versions']['inclined-landing']}.",
-        "network": network,
         "number": number,
         "stack": stack,
         "observation_names": [_comment_text(entry["name"]) for entry in contract["observation"]],
         "period_ms": f"{1e3 * contract['control_period']:g}",
         "widest": widest,
-        "blocks": _blocks(network),
-        "limit": number(0.0 if math.isinf(network.limit) else network.limit),
-        "bound": number(0.0 if math.isinf(network.bound) else network.bound),
+        "blocks": _blocks(policy),
+        "limit": number(0.0 if math.isinf(policy.limit) else policy.limit),
+        "bound": number(0.0 if math.isinf(policy.bound) else policy.bound),
         "vectors": len(vectors.observations),
         "vector_observations": _format_rows(vectors.observations),
         "vector_actions": _format_rows(vectors.actions),
     }
 
 
-def _blocks(network: ExportNetwork) -> list[tuple[str, str]]:
+def _blocks(policy: Policy) -> list[tuple[str, str]]:
     """Return the constants in the order of the C source, in blocks with a comment."""
-    blocks = [("centres of the inputs", network.centre), ("scales of the inputs", network.scale)]
-    for k, (weight, bias) in enumerate(zip(network.weights, network.biases), start=1):
+    blocks = [("centres of the inputs", policy.centre), ("scales of the inputs", policy.scale)]
+    for k, (weight, bias) in enumerate(zip(policy.weights, policy.biases), start=1):
         inputs, outputs = weight.shape
         blocks.append((f"layer {k}, {outputs} outputs: biases", bias))
         blocks.append((f"layer {k}, {inputs} inputs: weights, one row for each input", weight.ravel()))

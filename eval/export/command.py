@@ -14,7 +14,8 @@ from inclined_landing.models.base.errors import UserError, shown
 if TYPE_CHECKING:
     from inclined_landing.envs.policy import Policy
 
-# Modules with a function `write(folder, task, network, contract, vectors)`, imported when they are needed.
+# Modules with a function `write(folder, policy, contract, vectors)`, the policy in float32, imported when they
+# are needed.
 FORMATS = {
     "onnx": "inclined_landing.eval.export.onnx_file",
     "c": "inclined_landing.eval.export.c_source",
@@ -69,15 +70,13 @@ def write(policy: Policy, format: str, out: str | Path) -> dict:
     check_format(format)
     from inclined_landing.envs.shared.runs import staged_run
     from inclined_landing.eval.export import contract, vectors
-    from inclined_landing.eval.export.network import ExportNetwork
     from inclined_landing.models.base import storage
 
     policy = policy.with_fixed_vehicle()
-    network = ExportNetwork.from_policy(policy)
-    terms = contract.describe(policy, network)
+    written, terms = contract.single(policy), contract.describe(policy)
     tested = vectors.record(policy)
     with staged_run(out) as folder:
-        importlib.import_module(FORMATS[format]).write(folder, policy.task, network, terms, tested)
+        importlib.import_module(FORMATS[format]).write(folder, written, terms, tested)
         storage.write_json(folder / "vectors.json", tested.table())
         storage.write_json(folder / "contract.json", terms)
     return terms

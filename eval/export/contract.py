@@ -20,7 +20,6 @@ from inclined_landing.envs.shared import runs
 from inclined_landing.envs.spaces import action_space, observation_space
 from inclined_landing.envs.tasks import Task
 from inclined_landing.envs.tasks.base import COLUMNS
-from inclined_landing.eval.export.network import ExportNetwork
 from inclined_landing.eval.export.vectors import TOLERANCE
 from inclined_landing.models.attitude import COMMAND_NAMES, COMMAND_UNITS, STATE_UNITS
 from inclined_landing.models.base import storage
@@ -30,6 +29,7 @@ from inclined_landing.models.vehicle import Vehicle
 
 FORMAT = "inclined-landing policy"
 VERSION = 1
+_SMALLEST = float(np.finfo(np.float32).tiny)
 FRAMES = {
     "arena": "right-handed, z up; origin on the floor under the middle of the platform, which rises along x",
     "attitude": "angles of R = Rz(yaw) Rx(roll) Ry(pitch) from the vehicle to the arena: positive pitch "
@@ -66,10 +66,25 @@ def load(name: str, task: str | None = None, vehicle: Vehicle | None = None) -> 
     return load_policy(name, task, vehicle=_trained_vehicle(policy))
 
 
-def describe(policy: Policy, network: ExportNetwork) -> dict:
+def single(policy: Policy) -> Policy:
+    """Return the policy in float32, which every export contains; raises UserError if that is impossible."""
+    scale = policy.scale.astype(np.float32)
+    if not (scale >= _SMALLEST).all() or not np.isfinite(scale).all():
+        raise UserError(f"policy {policy.path} has an observation scale beyond the range of float32")
+    return dataclasses.replace(
+        policy,
+        centre=policy.centre.astype(np.float32),
+        scale=scale,
+        weights=tuple(weight.astype(np.float32) for weight in policy.weights),
+        biases=tuple(bias.astype(np.float32) for bias in policy.biases),
+    )
+
+
+def describe(policy: Policy) -> dict:
     """Return the contract of a policy. Raises UserError if its task has its own mapping of actions."""
     task, space = policy.task, action_space(policy.task)
     given = {COMMAND_NAMES[channel.column] for channel in task.channels}
+    arrays = policy.centre, policy.scale, *policy.weights, *policy.biases
     _check_channels(policy)
     return {
         "format": FORMAT,
@@ -87,10 +102,10 @@ def describe(policy: Policy, network: ExportNetwork) -> dict:
         "input": _input(policy),
         "network": {
             "dtype": "float32",
-            "layers": network.sizes,
-            "activation": network.activation,
-            "squashed": network.squashed,
-            "bound": _finite(network.bound),
+            "layers": [len(bias) for bias in policy.biases],
+            "activation": policy.activation,
+            "squashed": policy.squashed,
+            "bound": _finite(policy.bound),
         },
         "action": [
             {
@@ -115,7 +130,7 @@ def describe(policy: Policy, network: ExportNetwork) -> dict:
                 "onnx": "every action of that row is NaN",
             },
         },
-        "cost": {"constants": network.numbers},
+        "cost": {"constants": sum(a.size for a in arrays)},
         "versions": runs.packages(),
         "licence": {
             "spdx": importlib.metadata.metadata("inclined-landing")["License-Expression"],

@@ -10,8 +10,7 @@ from pathlib import Path
 
 import numpy as np
 
-from inclined_landing.envs.tasks import Task
-from inclined_landing.eval.export.network import ExportNetwork
+from inclined_landing.envs.policy import Policy
 from inclined_landing.eval.export.vectors import Vectors
 from inclined_landing.models.base import storage
 from inclined_landing.models.base.errors import optional
@@ -24,7 +23,7 @@ OPSET = 17
 _IR_VERSION = 8  # of the same age
 
 
-def write(folder: Path, task: Task, network: ExportNetwork, contract: dict, vectors: Vectors) -> None:
+def write(folder: Path, policy: Policy, contract: dict, vectors: Vectors) -> None:
     """Write policy.onnx into `folder`, with its contract as metadata."""
     nodes: list = []
     constants: list = []
@@ -42,16 +41,16 @@ def write(folder: Path, task: Task, network: ExportNetwork, contract: dict, vect
             return x
         return node("Clip", x, constant(f"{name}_low", -limit), constant(f"{name}_high", limit), name=name)
 
-    x = node("Sub", "input", constant("centre", network.centre), name="centred")
-    x = node("Div", x, constant("scale", network.scale), name="divided")
-    x = clipped(x, network.limit, "scaled")
-    for k, (weight, bias) in enumerate(zip(network.weights, network.biases)):
+    x = node("Sub", "input", constant("centre", policy.centre), name="centred")
+    x = node("Div", x, constant("scale", policy.scale), name="divided")
+    x = clipped(x, policy.limit, "scaled")
+    for k, (weight, bias) in enumerate(zip(policy.weights, policy.biases)):
         if k:
-            x = node("Relu" if network.activation == "ReLU" else "Tanh", x, name=f"hidden_{k}")
+            x = node("Relu" if policy.activation == "ReLU" else "Tanh", x, name=f"hidden_{k}")
         x = node("MatMul", x, constant(f"weight_{k}", weight), name=f"product_{k}")
         x = node("Add", x, constant(f"bias_{k}", bias), name=f"sum_{k}")
-    if network.squashed:
-        x = node("Tanh", clipped(x, network.bound, "bounded"), name="squashed")
+    if policy.squashed:
+        x = node("Tanh", clipped(x, policy.bound, "bounded"), name="squashed")
     x = clipped(x, 1.0, "limited")
     # 0 for numbers, NaN for NaN and infinity, which clipping would hide.
     zeros = node("Mul", "input", constant("zero", 0.0), name="zeros")
@@ -59,8 +58,8 @@ def write(folder: Path, task: Task, network: ExportNetwork, contract: dict, vect
     constants.append(axes)
     nodes.append(helper.make_node("ReduceSum", [zeros, "axes"], ["doubt"], name="doubt", keepdims=1))
     node("Add", x, "doubt", name="action")
-    input_info = helper.make_tensor_value_info("input", TensorProto.FLOAT, ["n", network.inputs])
-    output_info = helper.make_tensor_value_info("action", TensorProto.FLOAT, ["n", network.sizes[-1]])
+    input_info = helper.make_tensor_value_info("input", TensorProto.FLOAT, ["n", len(policy.centre)])
+    output_info = helper.make_tensor_value_info("action", TensorProto.FLOAT, ["n", len(policy.biases[-1])])
     graph = helper.make_graph(nodes, "landing_policy", [input_info], [output_info], constants)
     model = helper.make_model(graph, opset_imports=[helper.make_opsetid("", OPSET)], ir_version=_IR_VERSION)
     model.producer_name = "inclined-landing"

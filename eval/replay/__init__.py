@@ -1,1 +1,1 @@
-"""Interactive views of flights: `replay`, a page for the browser, and `view`, MuJoCo's viewer."""
+"""`landing-eval replay`: a page for the browser that shows flights from any side."""

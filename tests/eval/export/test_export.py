@@ -26,7 +26,6 @@ from inclined_landing.envs.tasks.base import COLUMNS
 from inclined_landing.eval import cli
 from inclined_landing.eval.export import c_source, contract, onnx_file, vectors
 from inclined_landing.eval.export.command import FORMATS, write
-from inclined_landing.eval.export.network import ExportNetwork
 from inclined_landing.eval.export.templates import LONGEST
 from inclined_landing.models.base import storage
 from inclined_landing.models.base.errors import UserError, shown
@@ -47,12 +46,11 @@ def exported(tmp_path_factory):
     folders = {}
     for name in POLICIES:
         policy = contract.load(name)
-        network, tested = ExportNetwork.from_policy(policy), vectors.record(policy)
-        terms = contract.describe(policy, network)
+        tested, terms = vectors.record(policy), contract.describe(policy)
         for format, make in FORMATS.items():
             folder = root / f"{name}-{format}"
             folder.mkdir()
-            importlib.import_module(make).write(folder, policy.task, network, terms, tested)
+            importlib.import_module(make).write(folder, contract.single(policy), terms, tested)
             (folder / "vectors.json").write_text(storage.to_json(tested.table()))
             (folder / "contract.json").write_text(storage.to_json(terms))
             folders[name, format] = folder
@@ -299,7 +297,7 @@ def test_names_and_metadata_do_not_become_markdown_or_html(tmp_path):
 
 def test_the_contract_is_the_task_the_metadata_and_the_vehicle():
     policy = contract.load("landing")
-    terms, task = contract.describe(policy, ExportNetwork.from_policy(policy)), policy.task
+    terms, task = contract.describe(policy), policy.task
     assert terms["control_period"] == load_vehicle().command_control_period
     assert terms["task"]["goal"]["z"] == task.goal[1]
     inside = np.zeros((2, 13))
@@ -359,15 +357,14 @@ def policies(draw, hidden=(2, 2)):
 
 
 def any_network_is_exported(policy, tmp_path):
-    network = ExportNetwork.from_policy(policy)
-    terms = contract.describe(policy, network)
+    terms = contract.describe(policy)
     rng = np.random.default_rng(1)
     o = len(policy.task.observation_names)
     tested = vectors.sequence(policy, np.zeros((8, 13)), rng.normal(scale=2.0, size=(8, o)))
     folder = tmp_path / "export"
     folder.mkdir()
     for make in FORMATS.values():
-        importlib.import_module(make).write(folder, policy.task, network, terms, tested)
+        importlib.import_module(make).write(folder, contract.single(policy), terms, tested)
     (folder / "contract.json").write_text(storage.to_json(terms))
     inputs = rng.normal(scale=3.0, size=(50, len(policy.centre))).astype(np.float32)
     library = compiled.Library(folder, tmp_path, "-O1")
@@ -414,20 +411,19 @@ def test_what_a_format_cannot_hold_is_refused(tmp_path):
     wide = Policy(make_task("landing"), {}, Path(__file__), np.zeros(5), np.ones(5), np.inf,
                   (np.ones((5, 400)), np.ones((400, 400)), np.ones((400, 2))),
                   (np.zeros(400), np.zeros(400), np.zeros(2)), "ReLU")  # fmt: skip
-    network = ExportNetwork.from_policy(wide)
     tested = vectors.sequence(wide, np.zeros((1, 13)), np.zeros((1, 5)))
     with pytest.raises(UserError, match="bytes of constants"):
-        c_source.write(tmp_path, wide.task, network, contract.describe(wide, network), tested)
+        c_source.write(tmp_path, contract.single(wide), contract.describe(wide), tested)
     assert not [*tmp_path.iterdir()]
     with pytest.raises(UserError, match="beyond the range of float32"):
-        ExportNetwork.from_policy(dataclasses.replace(wide, scale=np.full(5, 1e-300)))
+        contract.single(dataclasses.replace(wide, scale=np.full(5, 1e-300)))
 
     class OwnCommands(type(make_task("landing"))):
         def commands(self, actions):
             return super().commands(actions) * 0.9
 
     with pytest.raises(UserError, match="in its own way"):
-        contract.describe(dataclasses.replace(wide, task=OwnCommands()), network)
+        contract.describe(dataclasses.replace(wide, task=OwnCommands()))
 
 
 def test_policies_of_sac_and_of_another_vehicle(tmp_path):

@@ -10,7 +10,6 @@ from inclined_landing.envs.policy import load_policy
 from inclined_landing.envs.shared.measures import STRICT
 from inclined_landing.eval.cli import main
 from inclined_landing.eval.export import contract
-from inclined_landing.eval.export.network import ExportNetwork
 from inclined_landing.eval.study import slopes
 from inclined_landing.eval.study.engine import run
 
@@ -58,7 +57,7 @@ def test_map_of_a_policy_in_space(tmp_path):
 @pytest.mark.parametrize("name", NAMES)
 def test_contract_says_where_things_are_seen_from(name):
     policy = load_policy(name)
-    said = contract.describe(policy, ExportNetwork.from_policy(policy))
+    said = contract.describe(policy)
     assert said["task"]["inclination"] is None and "azimuth" in said["frames"]["surface"]
     assert {row["frame"] for row in said["observation"]} == {"surface"}
     assert all(row["unit"] for row in said["observation"])
