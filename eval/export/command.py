@@ -14,8 +14,8 @@ from inclined_landing.models.base.errors import UserError, shown
 if TYPE_CHECKING:
     from inclined_landing.envs.policy import Policy
 
-# Modules with a function `write(folder, policy, contract, vectors)`, the policy in float32, imported when they
-# are needed.
+# Modules with a function `write(folder, policy, contract, vectors)`, the policy in float32, imported when
+# they are needed.
 FORMATS = {
     "onnx": "inclined_landing.eval.export.onnx_file",
     "c": "inclined_landing.eval.export.c_source",
