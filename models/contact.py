@@ -38,7 +38,7 @@ import math
 import numpy as np
 
 from inclined_landing.models.base.errors import UserError
-from inclined_landing.models.compiled import inner, kernel
+from inclined_landing.models.compiled import inner, unlocked
 
 REFERENCE_SPEED = 1.0  # m/s, normal speed of the drop that the setting is about
 MOST_FRICTION = 10.0  # as the vehicle file's range says
@@ -145,7 +145,7 @@ def _last_bouncing(weight):
     return low
 
 
-@kernel
+@inner
 def _spring(e, time, gravity):
     """Return damping ratio and natural frequency [rad/s] for restitution e and contact time [s]."""
     frequency, damping = math.pi / time, 0.5
@@ -171,7 +171,7 @@ def _spring(e, time, gravity):
     return damping, frequency
 
 
-@kernel
+@unlocked
 def _solve(e, time, gravity, out):
     """Fill out (k, 2) with the stiffness [1/s2] and damping [1/s] of every pair."""
     for k in range(len(e)):

@@ -5,8 +5,13 @@ from __future__ import annotations
 import dataclasses
 import math
 import numbers
+from collections.abc import Callable
+from typing import TYPE_CHECKING
 
 from inclined_landing.envs.shared.statistics import number
+
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
 
 
 @dataclasses.dataclass(frozen=True)
@@ -73,7 +78,7 @@ class Table:
 class Section:
     """One section of a page; `figures` maps file names to captions, `data` goes to the JSON.
 
-    text: paragraphs, or the only one.
+    text: paragraphs, or the only one. draw: returns its figure, if it has one.
     """
 
     key: str
@@ -84,6 +89,7 @@ class Section:
     figures: dict[str, str] = dataclasses.field(default_factory=dict)
     remarks: list[str] = dataclasses.field(default_factory=list)
     data: dict = dataclasses.field(default_factory=dict)
+    draw: Callable[[], Figure] | None = None
 
     def __post_init__(self):
         if isinstance(self.text, str):

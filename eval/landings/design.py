@@ -49,10 +49,10 @@ def _quantile(p: Levels | Range, u: np.ndarray) -> np.ndarray:
     return p.low + (p.high - p.low) * u
 
 
-def run_chunk(study: Study, threads: int, rows: range) -> pa.Table:
-    """Return the landings with these numbers; the result depends only on the arguments.
+def run_chunk(study: Study, rows: range) -> pa.Table:
+    """Return the landings with these numbers, simulated by one thread.
 
-    The number of threads (0: all) does not change the result, and a landing does not depend on other rows.
+    The result depends only on the arguments, and a landing does not depend on other rows.
     """
     values, start = design(study)
     p = {name: column[rows].copy() for name, column in values.items()}
@@ -62,7 +62,7 @@ def run_chunk(study: Study, threads: int, rows: range) -> pa.Table:
         states = touchdown_states(p, study.vehicle)
     landings = simulate(
         states, p, from_start=bool(study.starts), duration=study.duration, timestep=study.timestep,
-        vehicle=study.vehicle, threads=threads,
+        vehicle=study.vehicle, threads=1,
     )  # fmt: skip
     return _table(study, rows, p, start[rows], landings)
 

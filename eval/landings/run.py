@@ -10,6 +10,7 @@ from __future__ import annotations
 
 import dataclasses
 import math
+import os
 from pathlib import Path
 
 import numpy as np
@@ -110,10 +111,9 @@ def _simulated(study: Study, out: Path, engine: str, address: str | None) -> pa.
     chunks = [range(k, min(k + CHUNK, study.total)) for k in range(0, study.total, CHUNK)]
     parts = {rows: out / PARTS / f"{k:05d}.parquet" for k, rows in enumerate(chunks)}
     missing = [rows for rows, part in parts.items() if _read(part, rows) is None]
-    shared = (study, 0 if engine == "local" else 1)
-    done = study.total - sum(map(len, missing))
+    done, cores = study.total - sum(map(len, missing)), len(os.sched_getaffinity(0))
     with storage.made(out / PARTS), stages(study.total, "landings", done) as tick:
-        for rows, table in pool.completed(design.run_chunk, shared, missing, engine, address):
+        for rows, table in pool.completed(design.run_chunk, (study,), missing, engine, address, cores):
             try:
                 write(table, parts[rows])
             except UserError as error:

@@ -6,6 +6,7 @@ import functools
 import math
 import tomllib
 from collections.abc import Callable, Mapping
+from concurrent.futures import ThreadPoolExecutor
 from importlib import resources
 from pathlib import Path
 
@@ -17,6 +18,7 @@ from inclined_landing.envs.shared import runs
 from inclined_landing.envs.shared.tables import say
 from inclined_landing.eval.base.claims import Claim, Section, number
 from inclined_landing.eval.base.page import of_sections, png
+from inclined_landing.eval.base.progress import stages
 from inclined_landing.eval.base.style import styled
 from inclined_landing.models.base import storage
 
@@ -71,11 +73,32 @@ def panels(count: int, width: float = 3.5, height: float = 3.15):
     return decorate
 
 
+def measured(work: Mapping[str, Callable[[], Section]], longest: str) -> list[Section]:
+    """Return the section of every measurement, in their order.
+
+    The longest is measured in this thread, the others one after the other in a second: most of their time is
+    the engine's, which runs without the interpreter's lock. After an interruption the second thread ends with
+    the measurement that it has begun.
+    """
+    with stages(len(work)) as tick:
+
+        def measure(name: str) -> Section:
+            tick(name)
+            return work[name]()
+
+        pool = ThreadPoolExecutor(1)
+        try:
+            others = {name: pool.submit(measure, name) for name in work if name != longest}
+            found = {longest: measure(longest)} | {name: other.result() for name, other in others.items()}
+        finally:
+            pool.shutdown(wait=False, cancel_futures=True)
+    return [found[name] for name in work]
+
+
 def publish(
     out: Path,
     name: str,
     sections: list[Section],
-    figures: Mapping[str, Figure],
     record: dict,
     title: str,
     lead: str,
@@ -83,10 +106,11 @@ def publish(
 ) -> bool:
     """Write NAME.html, NAME.json and the figures into the new folder `out`; return whether all claims hold.
 
-    figures: by the file names used in the captions of sections; record: content of the JSON file, with
-    `versions`; run: the command. Prints the claims that do not hold.
+    record: content of the JSON file, with `versions`; the sections are added. run: the command. Prints the
+    claims that do not hold.
     """
-    images = {file: png(figure) for file, figure in figures.items()}
+    images = {file: png(section.draw()) for section in sections if section.draw for file in section.figures}
+    record["sections"] = {section.key: section.record() for section in sections}
     page = of_sections(sections, images, title=title, lead=lead, run=run, versions=record["versions"])
     with runs.staged_run(out) as folder:
         for file, image in images.items():

@@ -15,6 +15,7 @@ and attitudes of a touch are taken from it.
 
 from __future__ import annotations
 
+import copy
 import math
 from typing import NamedTuple
 
@@ -231,13 +232,13 @@ def contact_forces(model: mujoco.MjModel, data: mujoco.MjData) -> tuple[np.ndarr
     Forces are those of the world on the vehicle. Contacts without force are omitted.
     """
     points, found = [], []
-    root = model.body("crazyflie").id
+    of_vehicle = model.body_rootid[model.geom_bodyid] == model.body("crazyflie").id
     wrench = np.zeros(6)
     for k in range(data.ncon):
         contact = data.contact[k]
         mujoco.mj_contactForce(model, data, k, wrench)
         force = contact.frame.reshape(3, 3).T @ wrench[:3]  # on the second geom
-        if model.body_rootid[model.geom_bodyid[contact.geom1]] == root:
+        if of_vehicle[contact.geom1]:
             force = -force
         if np.linalg.norm(force) > 1e-6:
             points.append(contact.pos.copy())
@@ -267,12 +268,13 @@ def impulses(plant: MujocoPlant, commands: np.ndarray, ids: np.ndarray | None = 
     Call this before the plant is stepped; the plant is not changed. Vehicles are computed one by one.
     Raises UserError for integrators other than RK4.
     """
-    found, data = np.zeros((plant.n, 3)), mujoco.MjData(plant.model)
+    found, model = np.zeros((plant.n, 3)), copy.copy(plant.model)
+    data = mujoco.MjData(model)
     plant.allow_torque(commands)
     for k in range(plant.n) if ids is None else ids:
         plant.batch.get_data(k, data)
         data.ctrl[:] = commands[k]
-        found[k] = _step_impulse(plant.batch.get_model(k), data)
+        found[k] = _step_impulse(plant.batch.get_model(k, model), data)
     return found
 
 

@@ -7,12 +7,14 @@ from __future__ import annotations
 
 import dataclasses
 import itertools
+from functools import partial
 from typing import Any
 
 import numpy as np
 
 from inclined_landing.eval.base.claims import Section
 from inclined_landing.eval.truth.contact.drops import PHASES, advance, drop, energy, unpowered
+from inclined_landing.eval.truth.contact.figures import DRAW
 from inclined_landing.eval.truth.report import Words
 from inclined_landing.models import contact
 from inclined_landing.models.attitude import PITCH, ROLL, STATE_SIZE, VX, VZ, WX, WZ, YAW, X, Z
@@ -30,6 +32,11 @@ FASTEST = contact.FASTEST  # m/s
 RESTITUTIONS = (0.0, 0.1, 0.2, 0.3, 0.4, 0.5, 0.6)
 CONTACT_TIMES = (0.012, 0.016, 0.02, 0.024)
 STEPS = (0.004, 0.002, 0.001, 0.0005)
+
+
+def _section(key: str, measured: dict[str, float], filling: dict | None = None, *, data: dict) -> Section:
+    draw = partial(DRAW[key], data) if key in DRAW else None
+    return WORDS.section(key, measured, filling, data=data, draw=draw)
 
 
 def rest(vehicle: Vehicle) -> Section:
@@ -51,7 +58,7 @@ def rest(vehicle: Vehicle) -> Section:
     springy = unpowered(vehicle, len(RESTITUTIONS), vehicle.platform_inclination)
     springy.set_contact(np.arange(springy.n), restitution=np.array(RESTITUTIONS), contact_time=STUDY_TIME)
     of_restitution = _creep(springy)
-    return WORDS.section(
+    return _section(
         "rest",
         {
             "forces": 100 * error,
@@ -94,7 +101,7 @@ def slip(vehicle: Vehicle) -> Section:
     gained = (after - before).reshape(distance.shape) / 0.5
     slides = gained > 0.005  # m/s2; 0.03 degrees beyond the angle of friction
     onset = np.degrees(around)[slides.argmax(axis=1)]
-    return WORDS.section(
+    return _section(
         "slip",
         {"onset": float(np.abs(onset).max())},
         data={
@@ -121,7 +128,7 @@ def restitution(vehicle: Vehicle) -> Section:
     # Newton: e = v_after / v_before;  a linear spring-damper pushes for its contact time.
     off = np.abs(measured[1.0] - np.array(RESTITUTIONS))[:, 1:]
     late = np.abs(pushed - np.array(CONTACT_TIMES)[:, None])[:, 1:]
-    return WORDS.section(
+    return _section(
         "restitution",
         {
             "set": float(off[1:].max()),
@@ -155,7 +162,7 @@ def impulse(vehicle: Vehicle) -> Section:
     kinds = itertools.product((0.3, 1.0, 2.0), (None, spring), (0.0, 0.5))
     drops = [drop(vehicle, speed, s, stages=True, thrust=share) for speed, s, share in kinds]
     single = max(float(np.abs(d.recorded / d.impulse - 1.0).max()) for d in drops)
-    return WORDS.section(
+    return _section(
         "impulse",
         {
             "touch": 100 * single,
@@ -175,7 +182,7 @@ def penetration(vehicle: Vehicle) -> Section:
     depth = np.array([drop(vehicle, speed, solrefs).depth.max(axis=1) for speed in speeds])
     at_one = int(np.flatnonzero(speeds == 1.0)[0])
     grows = float(np.diff(depth, axis=1).min())
-    return WORDS.section(
+    return _section(
         "penetration",
         {"depth": 1e3 * float(default[at_one]), "growth": 1e3 * grows},
         data={"speeds": speeds, "contact_time": CONTACT_TIMES, "default": default, "depth": depth},
@@ -196,7 +203,7 @@ def convergence(vehicle: Vehicle) -> Section:
     order = float(np.polyfit(np.log(steps[:-2]), np.log(error[:-1]), 1)[0])
     change = float(np.abs(rebound[0] - rebound[-1]).max())
     halving = float((spread[1:] / spread[:-1])[:3].mean())
-    return WORDS.section(
+    return _section(
         "convergence",
         {"order": order, "scatter": halving, "rebound": change},
         data={"steps": steps, "rebound": rebound, "scatter": spread, "depth": depth},
@@ -220,8 +227,9 @@ def tumbling(vehicle: Vehicle, n: int = 100, dropped: int = 1000) -> Section:
     rng = np.random.default_rng(1)
     slope = -rng.uniform(0.0, vehicle.platform_max_inclination, dropped)
     speed = rng.uniform(1.0, FASTEST, dropped)
-    spring = {"restitution": rng.uniform(*contact.RESTITUTION, dropped)}
-    spring["contact_time"] = rng.uniform(*contact.CONTACT_TIME, dropped)
+    restitutions = rng.uniform(*contact.RESTITUTION, dropped)
+    times = rng.uniform(*contact.CONTACT_TIME, dropped)
+    spring = {"solref": contact.solref(restitutions, times, vehicle.environment_gravity)}
     kinds = {
         "through": ({}, "slab"),
         "springy_through": (spring, "slab"),
@@ -232,7 +240,7 @@ def tumbling(vehicle: Vehicle, n: int = 100, dropped: int = 1000) -> Section:
         key: int(_tumble(vehicle, speed, slope, setting, onto)[1].sum())
         for key, (setting, onto) in kinds.items()
     }
-    return WORDS.section(
+    return _section(
         "tumbling",
         {
             "default": 100 * float(growth[0].max()),
@@ -315,7 +323,8 @@ def parts(vehicle: Vehicle) -> Section:
             rows.append(
                 {"surface": name, "pitch": float(np.degrees(pitch)), "first": first, "right": bool(ok)}
             )
-    return WORDS.section("parts", {"named": right, "weight": 100 * float(max(loads))}, data={"rows": rows})
+    return _section("parts", {"named": right, "weight": 100 * float(max(loads))}, data={"rows": rows})
 
 
 LAWS = {f.__name__: f for f in (rest, slip, restitution, impulse, penetration, convergence, tumbling, parts)}
+LONGEST = "tumbling"

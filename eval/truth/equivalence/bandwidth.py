@@ -4,10 +4,10 @@ from __future__ import annotations
 
 import dataclasses
 import itertools
+from functools import partial
 
 import numpy as np
 from matplotlib.axes import Axes
-from matplotlib.figure import Figure
 
 from inclined_landing.eval.base.claims import Claim, Section, Table
 from inclined_landing.eval.base.style import BLUE, INK, MUTED, ORANGE, legend_below
@@ -91,8 +91,8 @@ def draw(v: Vehicle, gaps: list[Gap], axis: Axes) -> None:
     legend_below(axis)
 
 
-def section(v: Vehicle, sequences: Sequences) -> tuple[Section, Figure]:
-    """Return the section and its figure."""
+def section(v: Vehicle, sequences: Sequences) -> Section:
+    """Return the section."""
     gaps = measure(v, sequences)
     filling = {
         "share": v.attitude_bandwidth / v.attitude_yaw_bandwidth,
@@ -107,4 +107,4 @@ def section(v: Vehicle, sequences: Sequences) -> tuple[Section, Figure]:
     paper = (f"paper, {what}" for what in ("rms [m]", "median [m]", "largest [m]", "angle [deg]"))
     heads = ("B [1/s]", *paper, "extended, largest [m]")
     tables = [Table("Distance between the engine's rate loop and the equations", heads, rows)]
-    return WORDS.section("bandwidth", claims(v, gaps), filling, tables=tables), draw(v, gaps)
+    return WORDS.section("bandwidth", claims(v, gaps), filling, tables=tables, draw=partial(draw, v, gaps))

@@ -16,7 +16,7 @@ def command(
 ) -> int:
     """Check the vehicle in MuJoCo against the paper's equations; writes a page of claims.
 
-    Takes about two minutes. The exit code is 1 if a claim does not hold.
+    Takes about 20 s on two cores. The exit code is 1 if a claim does not hold.
 
     Args:
         out: new folder for report.html, report.json and the figures.
@@ -26,15 +26,13 @@ def command(
     """
     from inclined_landing.envs.policy import load_policy
     from inclined_landing.envs.shared import runs
-    from inclined_landing.eval.base.progress import stages
     from inclined_landing.eval.truth.equivalence import measured
     from inclined_landing.eval.truth.report import publish
     from inclined_landing.models.parameters import load_vehicle
 
     loaded = load_policy("landing", vehicle=None if vehicle is None else load_vehicle(vehicle))
     began = time.monotonic()
-    with stages(9) as tick:
-        sections, drawn = measured.measure(loaded, seed, quick, tick)
+    sections = measured.measure(loaded, seed, quick)
     seconds = round(time.monotonic() - began, 1)
     claims = [c for s in sections for c in s.claims]
     record = {
@@ -48,14 +46,12 @@ def command(
         "passed": all(c.passed for c in claims),
         "claims": len(claims),
         "failed": [c.name for c in claims if not c.passed],
-        "sections": {s.key: s.record() for s in sections},
     }
     name = "landing-eval equivalence" + (" --quick" if quick else "")
     passed = publish(
         out,
         "report",
         sections,
-        drawn,
         record,
         title="The MuJoCo vehicle and the paper's model",
         lead="The MuJoCo vehicle, with its native plugins, against the equations of Kooi and Babuska "

@@ -3,10 +3,10 @@
 from __future__ import annotations
 
 import dataclasses
+from functools import partial
 
 import numpy as np
 from matplotlib.axes import Axes
-from matplotlib.figure import Figure
 
 from inclined_landing.eval.base.claims import Claim, Section, Table
 from inclined_landing.eval.base.style import BLUE, GREEN, MUTED, ORANGE, legend_below
@@ -79,12 +79,13 @@ def draw(found: list[Convergence], *axes: Axes) -> None:
         legend_below(axis)
 
 
-def section(vehicle: Vehicle, commands: np.ndarray) -> tuple[Section, Figure]:
-    """Return the section and its figure."""
+def section(vehicle: Vehicle, commands: np.ndarray) -> Section:
+    """Return the section."""
     found = measure(vehicle, commands)
     rows = [(c.attitude.replace("_", " "), c.integrator, *c.errors, c.order) for c in found]
     heads = ("mode", "integrator", *(f"{h:g} ms [m]" for h in STEPS_MS), "order")
     default = next(c for c in found if c.integrator == "implicitfast" and c.attitude == "rate_loop")
     filling = {"count": commands.shape[1], "centimetres": 100 * default.errors[STEPS_MS.index(5.0)]}
     tables = [Table("Position error", heads, rows)]
-    return WORDS.section("convergence", [c.claim() for c in found], filling, tables=tables), draw(found)
+    claims = [c.claim() for c in found]
+    return WORDS.section("convergence", claims, filling, tables=tables, draw=partial(draw, found))

@@ -34,8 +34,8 @@ ATTITUDES: tuple[Attitude, ...] = ("kinematic", "rate_loop")
 
 
 def engine(n: int, attitude: Attitude, vehicle: Vehicle | None = None, **options) -> MujocoPlant:
-    """Return the MuJoCo vehicle without torque limit, which the equations do not have."""
-    return MujocoPlant(n, vehicle, attitude=attitude, **({"torque_limit": False} | options))
+    """Return the MuJoCo vehicle without torque limit and contacts, which the equations do not have."""
+    return MujocoPlant(n, vehicle, attitude=attitude, contacts=False, **({"torque_limit": False} | options))
 
 
 def equations(

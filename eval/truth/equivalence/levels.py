@@ -3,11 +3,11 @@
 from __future__ import annotations
 
 import dataclasses
+from functools import partial
 
 import mujoco
 import numpy as np
 from matplotlib.axes import Axes
-from matplotlib.figure import Figure
 
 from inclined_landing.eval.base.claims import Claim, Section, Table, number
 from inclined_landing.eval.base.style import BLUE, GREEN, INK, MUTED, ORANGE, PURPLE, legend_below
@@ -174,8 +174,8 @@ def draw(vehicle: Vehicle, gaps: dict[Attitude, Gaps], *axes: Axes) -> None:
         legend_below(axis)
 
 
-def section(vehicle: Vehicle, sequences: list[Sequences], count: int, seed: int) -> tuple[Section, Figure]:
-    """Return the section and its figure."""
+def section(vehicle: Vehicle, sequences: list[Sequences], count: int, seed: int) -> Section:
+    """Return the section."""
     commands, starts = flying.side_by_side(vehicle, sequences)
     n = len(starts)
     kinematic, slow, landed, drawn = measure(vehicle, "kinematic", sequences, count, seed)
@@ -207,5 +207,5 @@ def section(vehicle: Vehicle, sequences: list[Sequences], count: int, seed: int)
     heads = ("mode", "commands", "6 s: position [m]", "one step: position [m]", "6 s: angle [deg]")
     tables = [Table("Largest differences by family", heads, rows)]
     data = {"mass_uncertainty_moves_m": metres, "largest_speed": speed}
-    part = WORDS.section("levels", kinematic + rate_loop, filling, tables=tables, data=data)
-    return part, draw(vehicle, {attitude: flight for attitude, (_, flight) in gaps.items()})
+    figure = partial(draw, vehicle, {attitude: flight for attitude, (_, flight) in gaps.items()})
+    return WORDS.section("levels", kinematic + rate_loop, filling, tables=tables, data=data, draw=figure)

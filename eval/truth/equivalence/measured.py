@@ -4,8 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Callable
 
-from matplotlib.figure import Figure
-
 from inclined_landing.envs.policy import Policy
 from inclined_landing.envs.tasks import frozen as landing_starts
 from inclined_landing.eval.base.claims import Section
@@ -21,21 +19,22 @@ from inclined_landing.eval.truth.equivalence import (
     motor,
     twin,
 )
+from inclined_landing.eval.truth.report import measured
 
 SEQUENCES, STATES = 16, 1000  # of each family and dimension; random states of a forward pass
 QUICK_SEQUENCES, QUICK_STATES = 4, 200
 QUICK_STARTS = 4  # every fourth of the frozen grid
 
 
-def measure(policy: Policy, seed: int, quick: bool, tick) -> tuple[list[Section], dict[str, Figure]]:
-    """Return all sections, and the figures by file name. `tick` is called with the name of the next stage."""
+def measure(policy: Policy, seed: int, quick: bool) -> list[Section]:
+    """Return all sections."""
     v = policy.task.vehicle
     n, states = (QUICK_SEQUENCES, QUICK_STATES) if quick else (SEQUENCES, STATES)
     starts = landing_starts.clear(policy.task, landing_starts.grid())[:: QUICK_STARTS if quick else 1]
     flights = flying.all_sequences(v, n, seed, policy)
     by_label = {s.label: s for s in flights}
     full = by_label["full steps, 3-D"]
-    work: dict[str, Callable[[], Section | tuple[Section, Figure]]] = {
+    work: dict[str, Callable[[], Section]] = {
         "three levels": lambda: levels.section(v, flights, states, seed),
         "single terms": lambda: isolated.section(v, states // 2, seed),
         "native twin": lambda: twin.section(v, by_label["full steps, 2-D"].commands),
@@ -46,12 +45,4 @@ def measure(policy: Policy, seed: int, quick: bool, tick) -> tuple[list[Section]
         "check cases": lambda: check_cases.section(v),
         "inconsistencies": lambda: inconsistencies.section(v, by_label["recorded, 2-D"]),
     }
-    sections, figures = [], {}
-    for what, measured in work.items():
-        tick(what)
-        found = measured()
-        part, figure = found if isinstance(found, tuple) else (found, None)
-        if figure is not None:
-            figures[f"{part.key}.png"] = figure
-        sections.append(part)
-    return sections, figures
+    return measured(work, "three levels")

@@ -123,6 +123,12 @@ def test_the_torque_limit_leaves_one_axis_alone(flights):
     np.testing.assert_array_equal(free, limited)
 
 
+def test_the_search_for_contacts_changes_no_bit_in_the_air(steps):
+    commands, starts = flying.side_by_side(V, [steps])
+    searched = flying.fly(flying.MujocoPlant(4, torque_limit=False), commands, starts)
+    np.testing.assert_array_equal(flying.fly(flying.engine(4, "rate_loop"), commands, starts), searched)
+
+
 def test_closed_loop_in_both_plants(policy):
     starts = landing_starts.clear(policy.task, landing_starts.grid())[::6]
     part = closed_loop.section(policy, starts)
@@ -186,7 +192,7 @@ def test_command_writes_page_json_and_figures(tmp_path):
 def test_failing_claims_give_exit_code_1(tmp_path, capsys, monkeypatch):
     failing = Claim("water is dry", 1.0, 0.0, "m", "it is not, so this claim has to fail")
     section = Section("levels", "Levels", ["Text."], [failing])
-    monkeypatch.setattr(measured, "measure", lambda *_: ([section], {}))
+    monkeypatch.setattr(measured, "measure", lambda *_: [section])
     assert cli.main(["equivalence", "--out", str(tmp_path / "run")]) == 1
     assert "not met: water is dry: 1 m, tolerance at most 0" in capsys.readouterr().out
     assert "1 of 1 claims are not met" in (tmp_path / "run" / "report.html").read_text()
