@@ -4,6 +4,8 @@ from __future__ import annotations
 
 import dataclasses
 import functools
+import importlib.util
+from pathlib import Path
 
 import numpy as np
 
@@ -86,14 +88,26 @@ def draw_polyline(canvas: Canvas, view: View, points, *, width, colour, alpha=1.
     canvas.blend(touched, chosen[:, 4:7], best[touched] * chosen[:, 7])
 
 
+def font_file(name: str) -> Path:
+    """Return the file of a DejaVu font, which comes with matplotlib; importing that would take longer."""
+    with optional():
+        spec = importlib.util.find_spec("matplotlib")
+        if spec is None or spec.origin is None:
+            raise ModuleNotFoundError("No module named 'matplotlib'", name="matplotlib")
+        path = Path(spec.origin).with_name("mpl-data") / "fonts" / "ttf" / f"{name}.ttf"
+        if not path.is_file():  # a distribution may keep it elsewhere
+            import matplotlib
+
+            path = Path(matplotlib.get_data_path()) / "fonts" / "ttf" / f"{name}.ttf"
+    return path
+
+
 @functools.lru_cache(maxsize=8)
 def _font(size: int):
     with optional():
-        from matplotlib import font_manager
         from PIL import ImageFont
 
-    path = font_manager.findfont(font_manager.FontProperties(family="DejaVu Sans Mono"))
-    return ImageFont.truetype(path, size)
+    return ImageFont.truetype(font_file("DejaVuSansMono"), size)
 
 
 @functools.lru_cache(maxsize=64)

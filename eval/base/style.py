@@ -13,13 +13,21 @@ from matplotlib.figure import Figure
 from matplotlib.legend import Legend
 from matplotlib.transforms import ScaledTranslation
 
+from inclined_landing.eval.base.colours import (  # noqa: F401
+    AIR,
+    BASE,
+    BLUE,
+    GREEN,
+    INK,
+    MUTED,
+    ORANGE,
+    PURPLE,
+    RULE,
+    SLAB,
+)
 from inclined_landing.models.base import storage
 from inclined_landing.models.base.errors import UserError, shown
 
-# Colours of Okabe and Ito, told apart with any colour vision.
-BLUE, ORANGE, GREEN, PURPLE = "#0072b2", "#d55e00", "#009e73", "#b0528d"
-INK, MUTED = "#1f2733", "#5f6b7a"
-AIR, RULE, SLAB, BASE = "#f1f6fc", "#d3deea", "#c9ced4", "#435062"
 STAMP_DPI = 500  # of rendered vehicles in a PDF
 PNG_DPI = 200
 _COLOURS = (ORANGE, BLUE, GREEN, PURPLE, MUTED)

@@ -6,11 +6,11 @@ import functools
 from collections.abc import Sequence
 
 import numpy as np
-from matplotlib.colors import to_rgb
-from PIL import Image, ImageDraw, ImageFont
+from PIL import Image, ImageColor, ImageDraw, ImageFont
 
 from inclined_landing.envs.mission import LEGS, Mission
-from inclined_landing.eval.base.style import BLUE, GREEN, INK, ORANGE, PURPLE
+from inclined_landing.envs.rendering.overlay import font_file
+from inclined_landing.eval.base.colours import BLUE, GREEN, INK, ORANGE, PURPLE
 
 _FINE = 3  # labels are drawn this much larger and resampled
 _PAPER, _RULE = "#fafbff", "#c3cedb"
@@ -40,7 +40,7 @@ def leg_label(mission: Mission, k: int) -> Label:
 
 def leg_colours(mission: Mission) -> np.ndarray:
     """Return the leg colours (T, 3) of a mission's rows."""
-    return np.array([to_rgb(colour) for colour in LEG_COLOURS])[mission.leg]
+    return np.array([ImageColor.getrgb(colour) for colour in LEG_COLOURS])[mission.leg] / 255.0
 
 
 def draw_labels(frame: np.ndarray, labels: Sequence[Label]) -> None:
@@ -83,6 +83,4 @@ def _label(text: str, colour: str | None, size: int, widest: int) -> np.ndarray:
 @functools.lru_cache(maxsize=32)
 def font(size: int):
     """Return the font of all overlays, `size` pixels high."""
-    from matplotlib import font_manager
-
-    return ImageFont.truetype(font_manager.findfont("DejaVu Sans"), size)
+    return ImageFont.truetype(font_file("DejaVuSans"), size)
