@@ -1,4 +1,7 @@
-"""The equations against exact solutions, invariants, and the order of their integrator."""
+"""The equations against exact solutions and invariants.
+
+Their order, and their lag against the paper's discrete motor function: tests/eval/truth/test_equivalence.py.
+"""
 
 import dataclasses
 import math
@@ -71,37 +74,6 @@ def test_body_rates_of_the_kinematic_model_are_those_of_its_loops():
     end = fly(hovering(), command, 0.1, 5)[0]
     wanted = derivative(end, command, V)["euler_rates"]
     np.testing.assert_allclose(end[WX : WX + 3], body_rates(end[ROLL], end[PITCH], *wanted), rtol=1e-12)
-
-
-def test_thrust_step_follows_the_exact_solution():
-    """Omega(t) = u/a + (Omega_0 - u/a) exp(-a t)."""
-    a, pwm = V.thrust_lag_rate, 50_000.0
-    for steps in (1, 5, 25):
-        t = 0.02 * steps
-        end = fly(hovering(), [pwm, 0, 0, 0], t, steps)[0]
-        exact = pwm / a + (V.hover_lag - pwm / a) * math.exp(-a * t)
-        # One RK4 step errs by (a h)^5/120 = 2.4e-5 of the deviation; later steps shrink it with the lag.
-        assert end[LAG] == pytest.approx(exact, abs=2.4e-5 * steps * abs(pwm / a - V.hover_lag))
-
-
-def test_the_lag_is_the_papers_discrete_motor_function():
-    """7.2345374e-8 / (1 - 0.9695404 z^-1) at 500 Hz, four motors.
-
-    Both respond to a step with a geometric/exponential rise. The pole gives the rate, the steady gain the
-    sum; the discrete function answers in the very sample of the command, which the direct gain stands for.
-    """
-    gain, pole, dt = 7.2345374e-8, 0.9695404, 0.002
-    assert -math.log(pole) / dt == pytest.approx(V.thrust_lag_rate, rel=5e-5)  # printed with five digits
-    assert 4 * gain == pytest.approx(V.thrust_direct_gain, rel=5e-4)  # with four
-    assert 4 * gain / (1 - pole) == pytest.approx(V.thrust_per_pwm, rel=1e-3)
-    state, discrete, worst = np.zeros((1, 13)), 0.0, 0.0
-    v, p, pwm = forces.pack(V)[0], neutral(1)[0], 40_000.0
-    for _ in range(250):
-        discrete = pole * discrete + 4 * gain * pwm
-        worst = max(worst, abs(forces.total_thrust(state[0, LAG], pwm, v, p) - discrete))
-        state = fly(state, [pwm, 0, 0, 0], dt, 1)
-    # The parameters' rounding, 1e-3 of the final thrust, is all that separates them.
-    assert worst < 1e-3 * V.thrust_per_pwm * pwm
 
 
 def column(values):
@@ -199,23 +171,6 @@ def test_the_exact_angle_step_where_the_poles_meet():
     np.testing.assert_allclose(angles[0], angles[1], atol=1e-6)
     np.testing.assert_allclose(angles[2], angles[1], atol=1e-6)
     assert np.ptp(angles[1]) > 0.05
-
-
-@pytest.mark.parametrize("rate_loop", [False, True])
-def test_the_integrator_is_of_fourth_order(rate_loop):
-    """Halving the step divides the error by 16."""
-    state = hovering()
-    state[0, VX : VZ + 1] = 2.0, -1.0, 0.5
-    command = [50_000.0, 0.4, -0.3, 2.0]
-
-    def end(steps):
-        return fly(state, command, 0.32, steps, rate_loop)[0, :6]
-
-    fine = end(1024)
-    errors = [np.abs(end(steps) - fine).max() for steps in (16, 32, 64)]
-    orders = np.log2(np.divide(errors[:-1], errors[1:]))
-    # 4 in the limit; at finite steps the next term of relative size h B / 2 shifts it.
-    assert np.all(np.abs(orders - 4) < 0.5), orders
 
 
 @given(

@@ -253,64 +253,6 @@ def test_clearances_agree_with_mujocos_geometry(inclination):
     assert compared > 10
 
 
-@pytest.mark.parametrize("degrees", [-25.7, 0, 20])
-def test_at_rest_the_slab_carries_the_weight_on_the_feet(degrees):
-    alpha = math.radians(degrees)
-    plant = MujocoPlant(1)
-    plant.set_platform([0], alpha)
-    plant.reset([0], on_slab(0.002, alpha, lag=0.0))
-    # The attitude command that agrees with the slope, so that no torque acts.
-    command = np.array([[0.0, 0.0, alpha / V.attitude_gain, 0.0]])
-    for _ in range(100):
-        plant.step(command)
-    weight = V.body_mass * V.environment_gravity
-    touch, force = plant.contacts.touch[0], plant.contacts.force[0]
-    assert touch[SLAB, FEET] and touch.sum() == 1
-    assert force[SLAB, FEET] == pytest.approx(weight, rel=0.01)  # net force, friction included
-    # The friction cone of elliptic contact creeps at 0.1 mm/s; nothing else moves.
-    assert np.abs(plant.state[0, VX : VZ + 1]).max() < 1e-3
-    data = engine_data(plant.state[0], alpha)
-    data.ctrl[:] = command
-    data.qvel[:] = 0
-    mujoco.mj_forward(plant.model, data)
-    wrench, normal = np.zeros(6), 0.0
-    for k in range(data.ncon):
-        mujoco.mj_contactForce(plant.model, data, k, wrench)
-        normal += wrench[0]
-    assert data.ncon == 4
-    assert normal == pytest.approx(weight * math.cos(alpha), rel=0.01)
-
-
-@pytest.mark.parametrize("pitch, part", [(0.0, FEET), (math.pi / 2, ROTORS), (math.pi, BODY)])
-@pytest.mark.parametrize("surface", [SLAB, FLOOR])
-def test_contact_tells_parts_and_surfaces_apart(pitch, part, surface):
-    """Upright, nose down and upside down, 0.2 mm into a level slab or the floor."""
-    plant = MujocoPlant(1)
-    plant.set_platform([0], 0.0)
-    x, height = (0.0, V.platform_surface_height) if surface == SLAB else (1.5, 0.0)
-    state = hover((x, 0, height + 1), pitch=pitch)
-    lowest = geometry.platform_poses([0.0], [True], V)[0]
-    gap = geometry.clearances(state, np.zeros(1), lowest, plant.shapes)[0, SLAB].min()
-    state[0, Z] -= (gap if surface == SLAB else 1 - _depth(plant.shapes, pitch)) + 0.0002
-    plant.reset([0], state)
-    plant.step(np.array([[V.hover_pwm, 0, 0, 0]]))
-    touch = plant.contacts.touch[0]
-    assert touch[surface, part]
-    assert not touch[[k for k in range(3) if k != surface]].any()
-    if part != BODY:  # upside down the body stands 0.5 mm proud of the rotors: both may touch in 20 ms
-        assert touch.sum() == 1
-    assert not touch[surface, FEET] or part == FEET
-    assert plant.contacts.platform[0] == (surface == SLAB)
-    assert plant.contacts.force[0, surface, part] > 0
-    assert not plant.contacts.force[0][~touch].any()
-
-
-def _depth(shapes, pitch) -> float:
-    """How far the shapes reach below the origin [m]."""
-    z = -math.sin(pitch) * shapes.centres[:, 0] + math.cos(pitch) * shapes.centres[:, 2]
-    return float((shapes.radii - z).max())
-
-
 def test_flying_into_the_base_touches_the_base():
     for sign in (1, -1):
         plant = MujocoPlant(1)

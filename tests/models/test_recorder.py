@@ -50,21 +50,6 @@ def test_a_landing_is_the_same_at_any_control_period_and_in_any_company(subset):
     assert np.diff(seen[0][0][[1, 0, 3, 2]]).min() > 0  # the higher, the later
 
 
-def test_speeds_of_a_touch_are_those_of_the_fall():
-    """No thrust, no drag worth mentioning: v^2 = v0^2 + 2 g cos(alpha) h along the normal, taken up to two
-    steps early, and the weight's share along the slope for the time that takes."""
-    plant = MujocoPlant(1, control_period=STEP, torque_needs_motors=True)
-    recorder = Recorder(plant, over_slab(0.05, speed=0.3))
-    for _ in range(60):
-        recorder.step(np.zeros((1, 4)))
-    into, along = recorder.touch_speeds()
-    pull = V.environment_gravity * math.cos(ALPHA)
-    speed = math.sqrt(0.3**2 + 2 * pull * 0.05)
-    assert speed - 2 * STEP * pull - 1e-3 < into[0] < speed
-    assert along[0] == pytest.approx((into[0] - 0.3) * abs(math.tan(ALPHA)), rel=0.01)
-    assert recorder.feet_force[0] > 2 * WEIGHT
-
-
 def test_at_rest_on_the_feet_and_not_otherwise():
     """Set down on the slope, lying on the back on it, standing on the floor, still in the air."""
     plant = MujocoPlant(4, torque_needs_motors=True)
