@@ -1,19 +1,15 @@
 """The task option `history`: what a policy is given besides the present observation."""
 
-import shutil
-
 import numpy as np
 import pytest
 
 from inclined_landing.envs.batch import BatchEnv
 from inclined_landing.envs.flights import record_flights
-from inclined_landing.envs.policy import load_policy, locate, trained_options, trained_task
 from inclined_landing.envs.tasks import TASKS, make_task
-from inclined_landing.models.base.errors import UserError
 from inclined_landing.models.effects import LIBRARY
 from inclined_landing.models.parameters import load_vehicle
 from inclined_landing.models.plants import make_plant
-from tests.policy_files import pilot, restamp
+from tests.policy_files import pilot
 
 K = 3
 
@@ -65,11 +61,3 @@ def test_a_recorded_flight_gives_the_policy_its_history():
         pilot(make_task("landing", history=0)), make_plant("analytic", 3), states, steps=2
     )
     assert not np.array_equal(without[0].actions, flights[0].actions[:3])
-
-
-def test_a_policy_file_says_its_history(tmp_path):
-    path = shutil.copy(locate("landing-nominal"), tmp_path / "h.zip")
-    restamp(path, {"task": "landing", "task_options": {"pwm_centre": "hover", "history": 2}})
-    assert trained_options(path)["history"] == 2 and trained_task(path) == "landing"
-    with pytest.raises(UserError, match=r"takes 5 observations and returns 2 actions, but .* landing has 19"):
-        load_policy(path)
