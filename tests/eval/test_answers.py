@@ -31,7 +31,6 @@ QUICK = {
         rf"reached the goal box in 5 of 5 flights {SHARE}; 97 % or more at thrusts .*\."
     ),
     f"{FLOWN} --every 60 --over slopes": rf"in 5 of 5 flights {SHARE} on slopes of -25\.7 deg only\.",
-    f"{FLOWN} --over vehicles --vehicle crazyflie-2.0 --draws 0": rf"flights {SHARE} with crazyflie-2\.0\.",
     f"picture landing {SMALL} --out {{place}}/a.png": r"1 of 1 flight succeeded; .*a\.png\.",
 }
 LONG = {
