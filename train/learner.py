@@ -1,4 +1,4 @@
-"""What learns in a run: the vehicles, the network and the curriculum, and the policy that they lead to."""
+"""The learning part of a run: vehicles, network and curriculum, and the policy that they have led to."""
 
 from __future__ import annotations
 

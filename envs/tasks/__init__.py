@@ -14,11 +14,10 @@ from inclined_landing.envs.tasks.base import (
     Training,
     hover_states,
 )
-from inclined_landing.envs.tasks.guard import check_step
+from inclined_landing.envs.tasks.guard import check_step, import_class, is_path
 from inclined_landing.envs.tasks.landing import InclinedLanding
 from inclined_landing.envs.tasks.moving import MovingLanding
 from inclined_landing.envs.tasks.options import TaskOptions, option
-from inclined_landing.envs.tasks.own import import_class, is_path
 from inclined_landing.envs.tasks.setpoint import Setpoint
 from inclined_landing.envs.tasks.slopes import SlopeLanding
 from inclined_landing.envs.tasks.space import SpaceLanding

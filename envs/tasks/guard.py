@@ -1,4 +1,4 @@
-"""Checks of custom tasks: the class is checked at import, and one step when the task is made.
+"""Custom tasks, named as `module:Class` or `file.py:Class`: their import, and checks of class and first step.
 
 The package's own tasks have tests instead. Later exceptions in custom code are reported in one sentence at
 the end of a command (`envs.shared.user_code.blame`); `BatchEnv` refuses rewards that are not finite.
@@ -7,10 +7,11 @@ the end of a command (`envs.shared.user_code.blame`); `BatchEnv` refuses rewards
 from __future__ import annotations
 
 import re
-from typing import Any
+from typing import Any, TypeGuard
 
 import numpy as np
 
+from inclined_landing.envs.shared.user_code import import_named
 from inclined_landing.envs.tasks.base import ACTIONS, FARTHEST, Evaluation, Start, StepContext, Task, Training
 from inclined_landing.models.attitude import STATE_SIZE
 from inclined_landing.models.base.errors import UserError, shown
@@ -22,6 +23,22 @@ _NEEDED = ("name", "observation_names", "observation_scale", "action_names")
 
 class TaskError(UserError):
     """The code of a custom task is wrong."""
+
+
+def is_path(name: object) -> TypeGuard[str]:
+    """Return whether `name` is the path of a class instead of the name of a task."""
+    return isinstance(name, str) and ":" in name
+
+
+def import_class(path: str) -> type[Task]:
+    """Return the class that `path` names, imported; raises UserError if it is not a task."""
+    what = f"task {shown(path, 60)}"
+    kind = import_named(path, "task", "Class")
+    if not (isinstance(kind, type) and issubclass(kind, Task)):
+        source, _, name = path.rpartition(":")
+        raise UserError(f"{what}: {source} has no class {name} derived from inclined_landing.envs.tasks.Task")
+    check_class(kind, what)
+    return kind
 
 
 def check_class(kind: type[Task], what: str) -> None:

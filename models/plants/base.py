@@ -1,4 +1,4 @@
-"""The parts that both plants share: options, contacts, perturbations, snapshots."""
+"""The parts that the plants share: options, contacts, perturbations, snapshots."""
 
 from __future__ import annotations
 

@@ -1,5 +1,6 @@
-"""The numbers of a recipe over its seeds, read from the files of the runs and summarised. A number in a file
-can be
+"""The numbers of a recipe over its seeds, read from the files of the runs and summarised.
+
+A number in a file can be
 
 - a number: mean with its bootstrap interval over the seeds;
 - true or false: the share of the seeds, with its Wilson interval;
