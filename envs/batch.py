@@ -22,7 +22,7 @@ from inclined_landing.models.forces import settled_hover
 from inclined_landing.models.plants import Plant
 
 _TRIES = 1000
-_START = ("state", "inclination", "present", "goal_size")  # what is recorded of a start
+_START = ("state", "inclination", "present", "goal_size")  # the fields of a start that are recorded
 
 
 def as_floats(value, what: str) -> np.ndarray:

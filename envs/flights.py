@@ -29,7 +29,7 @@ class Track:
     Row k of `commands` was applied from t[k] to t[k + 1]; the last row repeats the one before.
     """
 
-    task: Task  # whose goal it is
+    task: Task  # the one that the flight is scored by
     t: np.ndarray  # (T,) s
     state: np.ndarray  # (T, 13), columns of `models.attitude`
     commands: np.ndarray  # (T, 4) PWM, rad, rad, rad/s
@@ -155,7 +155,7 @@ def record_flights(
             if not plant.pool:
                 raise
             lost = plant.diverged
-            plant.reset(np.flatnonzero(lost), state[0, lost])  # where it stands still from now on
+            plant.reset(np.flatnonzero(lost), state[0, lost])  # and stands still there from now on
         step = env.outcome()
         observation = step.observation
         commands[last] = env.commands

@@ -36,7 +36,7 @@ class Policy:
     path: Path
     centre: np.ndarray  # (o,) subtracted from the observation
     scale: np.ndarray  # (o,) that the difference is divided by
-    limit: float  # that the scaled observation is clipped to; inf without scaling
+    limit: float  # limit of the scaled observation; inf without scaling
     weights: tuple[np.ndarray, ...]  # (inputs, outputs) of each layer
     biases: tuple[np.ndarray, ...]  # (outputs,)
     activation: str

@@ -78,7 +78,7 @@ class _General(Struct, frozen=True):
 class Ranges:
     """The content of a file of ranges."""
 
-    given: dict[str, Any]  # as it stands there
+    given: dict[str, Any]  # the content of the file
     nominal: float  # share of the episodes
     fields: dict[str, tuple[Range, ...]]  # field of Vehicle -> of each of its numbers
     effects: dict[str, dict[str, Range]]  # effect -> parameter -> range

@@ -41,7 +41,7 @@ from inclined_landing.models.base.errors import UserError
 from inclined_landing.models.compiled import inner, unlocked
 
 REFERENCE_SPEED = 1.0  # m/s, normal speed of the drop that the setting is about
-MOST_FRICTION = 10.0  # as the vehicle file's range says
+MOST_FRICTION = 10.0  # the limit of the vehicle file's range
 RESTITUTION = (0.0, 0.6)  # supported range; above, tilted touches with friction gain energy
 FASTEST = 6.0  # m/s, normal speed at which a touch is still pushed out at the upper side
 # s; from three steps of 4 ms to six: at pi/2 0.1 m/FASTEST = 26 ms feet sink in by half of the slab's depth.

@@ -43,7 +43,7 @@ class Disturbance:
         self._size, self._keep, self._fresh = size, keep, size * np.sqrt(1.0 - keep**2)
         self._inertia = np.array([v.body_inertia for v in vehicles])
         self.now = np.zeros((n, 6))  # m/s2 along the world's axes, rad/s2 about the body's
-        self.held = np.zeros((n, 6))  # what `push` returns
+        self.held = np.zeros((n, 6))  # the value that `push` returns
 
     def seed(self, seed: Seed) -> None:
         """Restart everything drawn from now on."""

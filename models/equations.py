@@ -80,7 +80,7 @@ _STEP = np.dtype(
         ("torque_limits", float, 3),  # N m about the body's axes, of the rate loops
         ("pushed", bool),  # whether there is a push
         ("limited", bool),  # whether the torques are limited
-        ("rate_loop", bool),  # which attitude model
+        ("rate_loop", bool),  # the attitude model: with the rate loop or without
         ("integrated", bool),  # whether the attitude loops have integral gains
         ("loaded", bool),  # whether there is a slung load
         # Working memory: a stage's integrated vector, its derivative, weighted sum of the derivatives.

@@ -52,7 +52,7 @@ FOR_PLANE = "landing-nominal"  # the policy that replaces it in the plane
 Iterations = Annotated[int, Meta(ge=0, le=10**9)]
 Seconds = Annotated[float, Meta(gt=0, lt=10**9)]
 Discount = Annotated[float, Meta(gt=0, lt=1)]
-Width = Annotated[int, Meta(ge=1, le=8192)]  # as policy files may have
+Width = Annotated[int, Meta(ge=1, le=8192)]  # the limits of policy files
 Widths = Annotated[tuple[Width, ...], Meta(min_length=1, max_length=15)]
 
 

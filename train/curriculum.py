@@ -48,7 +48,7 @@ PARTS = {
     "platform": ("platform",),
     "departure": ("out_of_bounds_penalty",),
 }
-RISING = "paper"  # how the paper's discount is called
+RISING = "paper"  # the name of the paper's discount
 
 
 def rising_gamma(steps: int) -> float:

@@ -41,7 +41,7 @@ from inclined_landing.train.descent import Descent
 
 CRITIC_FIRST = 65_536  # environment steps in which the actor is left alone
 CUT_HEIGHT = 0.08  # m over the surface, of the centre of mass
-_IDLE = IDLE_ACTION - 0.4  # what is taught for idle: far enough from IDLE_ACTION to be kept under noise
+_IDLE = IDLE_ACTION - 0.4  # taught for idle: far enough from IDLE_ACTION to remain below it under noise
 _LOWEST = IDLE_ACTION + 0.05  # and what the landing policy's lowest thrust becomes, as -1 would be idle
 _ROUNDS, _STEPS, _EPOCHS, _BATCH = 4, 200, 15, 1024
 _ROUNDS_OF_LAW = 8

@@ -31,7 +31,7 @@ _LOST = (
     "use backend='ray'"
 )
 _MAX_GEOMS = 20000
-_process: int | None = None  # that used OpenGL first
+_process: int | None = None  # the process that used OpenGL first
 
 
 def lost() -> bool:

@@ -74,8 +74,8 @@ class Measure:
     factor: float = 1.0
     digits: int = 2
     cell: Callable[[Row, float, int], str] = with_ends
-    said: str = ""  # what flights did that are counted: "landed"
-    note: str = ""  # what it means, under a table
+    said: str = ""  # the word for counted flights: "landed"
+    note: str = ""  # an explanation under tables
 
     @property
     def heading(self) -> str:

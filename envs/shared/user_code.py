@@ -17,7 +17,7 @@ from typing import TypeGuard
 from inclined_landing.models.base import storage
 from inclined_landing.models.base.errors import UserError, shown
 
-_FILES: dict[str, str] = {}  # what was imported here: what people called it, by the file that it is in
+_FILES: dict[str, str] = {}  # names of imported objects as users gave them, by file
 
 
 def would_import(text: object) -> TypeGuard[str]:

@@ -95,7 +95,7 @@ class FlightOptions:
             raise UserError(
                 f"policy {shown(name)} is for moving platforms; fly needs one for a platform at rest"
             )
-        landing = load_policy(name, landing.task)  # which refuses another slope than its own
+        landing = load_policy(name, landing.task)  # refuses another slope than the policy's
         plane = make_task("landing", room, inclination=slope)
         starts = parse_starts(self.start, plane) or list(PAPER_STARTS)
         return landing, hover, [(point[0], point[1]) for point in starts]
@@ -211,7 +211,7 @@ def command(
     landing, setpoint, starts = flight.load()
     onboard = real.position == "onboard"
     connection = simulation.connection(flight, onboard) if simulation.simulated else real.connection()
-    logging.getLogger("cflib").setLevel(logging.CRITICAL)  # what it logs is said in a sentence
+    logging.getLogger("cflib").setLevel(logging.CRITICAL)  # its messages are reported in a sentence
     description = {
         "command": "fly",
         "policy": None if isinstance(landing, PlannedFlight) else str(landing.path),

@@ -135,7 +135,7 @@ class Pilot:
         """
         if self._target is None:
             raise ValueError("the checks must have passed before a flight")
-        try:  # which also compiles what is not compiled yet
+        try:  # also compiles everything that is not compiled yet
             here = self._estimator.predict(self.clock.now()).state
             self._final.step(0.0, here, False)
             self._follower.roll_command_to_hold(here, 0.0)

@@ -18,9 +18,9 @@ class FlightReport:
     """The outcome of a flight."""
 
     outcome: str  # "goal box", "at rest", "plan flown", "dry run", or the name of the cause
-    cause: Cause | None = None  # that ended it early
+    cause: Cause | None = None  # the cause of an early end
     error: str | None = None  # of the cause `error`
-    retreat: Cause | None = None  # that it went to land for, where it did
+    retreat: Cause | None = None  # the cause of a retreat, if there was one
     start: np.ndarray | None = None  # (13,) believed state at hand-over
     goal: np.ndarray | None = None  # (13,) believed state when the motors were cut in the goal box or at rest
     landing_time: float | None = None  # s from hand-over to there

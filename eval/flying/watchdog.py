@@ -103,7 +103,7 @@ class DeadManSwitch:
         return self._process.returncode is None and os.waitid(os.P_PID, self._process.pid, ended) is None
 
     def _kill(self) -> None:
-        self._process.kill()  # which does nothing to one that has ended
+        self._process.kill()  # does nothing if it has ended
         with contextlib.suppress(OSError):
             self._process.communicate()
 

@@ -72,7 +72,7 @@ class Levels:
 
     name: str
     values: tuple[float, ...]
-    unit: str  # as the study file writes it
+    unit: str  # that of the study file
 
 
 @dataclasses.dataclass(frozen=True)
@@ -98,7 +98,7 @@ class Study:
     samples: int  # of a Latin hypercube; 0 for a factorial
     seed: int
     maps: tuple[tuple[str, str], ...]
-    policy: str | None  # whose goal-box entries the landings start from
+    policy: str | None  # the landings start from its entries into the goal box
     duration: float  # s
     timestep: float  # s
     parameters: tuple[Levels | Range, ...]  # those that the file names, in its order

@@ -153,7 +153,7 @@ def _layout(path: Path, data: bytes, encoding: str, named: Sequence[int] = ()) -
             numbers = sum(map(_is_number, cells))
             if not numbers or (mark == " " and 2 * numbers < len(cells)):
                 header = (cells, mark, raw, end, count)
-            elif comment is not None:  # as numpy.savetxt has it
+            elif comment is not None:  # the form of numpy.savetxt
                 mark = separator or _separator(comment[0])
                 header = (_cells(path, comment[0], mark), mark, *comment[1:])
                 break
@@ -166,7 +166,7 @@ def _layout(path: Path, data: bytes, encoding: str, named: Sequence[int] = ()) -
             other = _cells(path, line, mark)
             titled = len(other) > max(len(header[0]), 2) or (header[1] == " " != mark and len(other) > 1)
             if titled and not any(map(_is_number, other)) and not named:
-                header = (other, mark, raw, end, count)  # what was above is a title
+                header = (other, mark, raw, end, count)  # the lines above are a title
             elif _are_units(cells) and (not marked or len(cells) == len(header[0])):
                 names = _names(path, header[0], data, encoding)
                 return _Layout(names, dict(zip(names, cells)), header[1], end, count, header[2])

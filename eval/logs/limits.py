@@ -67,7 +67,7 @@ def read_table(path: Path) -> tuple[bytes, str, list[str]]:
     try:
         with _open_unpacked(path) as file:
             data = file.read(LARGEST + 1)
-        if data.startswith((b"\xff\xfe", b"\xfe\xff")):  # what spreadsheets save as "Unicode text"
+        if data.startswith((b"\xff\xfe", b"\xfe\xff")):  # spreadsheets save "Unicode text" so
             data = data.decode("utf-16").encode()
         data, size = data.rstrip(b"\0"), len(data)
         if size and not data:

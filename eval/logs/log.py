@@ -64,7 +64,7 @@ class FlightLog:
     # Whether the thrust command is that of the measured rotor speeds, which lag behind no command.
     thrust_is_measured: bool = False
     from_quaternion: bool = False  # whether the attitude was logged as a quaternion
-    notes: tuple[str, ...] = ()  # what reader and checks want a person to know
+    notes: tuple[str, ...] = ()  # notes of reader and checks for the user
 
     def __post_init__(self):
         m = len(self.t)

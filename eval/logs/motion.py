@@ -44,7 +44,7 @@ PLACE = 0.005  # m that the measured position of a vehicle that stands may stray
 # A vehicle that does not move has a command that differs from the one in flight by this share only where
 # something holds it: near the ground, and with another battery voltage, the difference is smaller.
 STANDING_DIFFERENCE = 0.2
-LEAST_QW = 0.1  # which few quaternions of level vehicles are below, those that face backwards
+LEAST_QW = 0.1  # few quaternions of level vehicles are below, only of those that face backwards
 CLEARANCE = 0.1  # m above the lowest row, from which a vehicle that climbs is in the air
 
 

@@ -31,7 +31,7 @@ _PLANTS = {
     "analytic": ("analytic", {}),
 }
 _BLOCK, _REPEATS = 15, 10  # control steps that are timed together, and how often
-_ACTIONS = 2000  # that are timed one by one
+_ACTIONS = 2000  # number of actions that are timed one by one
 _TRAINING_STEPS = 100_000
 
 

@@ -28,7 +28,7 @@ class LandedFlight(Flight):
     cut: int  # row of the motor cut, the flight's last one
     settled: int  # row from which `ending` is true
     at_rest: bool  # on its feet
-    ending: str  # what became of the vehicle, in words
+    ending: str  # the vehicle's outcome in words
 
     @property
     def duration(self) -> float:

@@ -50,7 +50,7 @@ class PolicyPilot:
     def __init__(self, policy: Policy, n: int):
         self._policy, self._task = policy, policy.task
         self._past = History(self._task, n)
-        self.cut = np.zeros(n, bool)  # whose motors have been cut
+        self.cut = np.zeros(n, bool)  # the vehicles whose motors have been cut
 
     def __call__(self, t: float, context: StepContext) -> np.ndarray:
         """Return commands (n, 4)."""
@@ -153,7 +153,7 @@ class Fleet:
     vehicle: Vehicle
     pool: Sequence[Vehicle] = ()
     choice: np.ndarray = dataclasses.field(default_factory=lambda: np.zeros(1, int))  # see `Plant.assign`
-    thrust_scale: np.ndarray = dataclasses.field(default_factory=lambda: np.ones(1))  # as `choice`
+    thrust_scale: np.ndarray = dataclasses.field(default_factory=lambda: np.ones(1))  # like `choice`
 
     def __getitem__(self, ids) -> Fleet:
         """Return the fleet of the vehicles `ids`."""

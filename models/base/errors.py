@@ -92,6 +92,6 @@ def shown(name: object, longest: int = 80) -> str:
 def _printable(character: str) -> str:
     if character.isprintable():
         return character
-    if 0xDC80 <= ord(character) <= 0xDCFF:  # how Python holds a byte of a file name that is no UTF-8
+    if 0xDC80 <= ord(character) <= 0xDCFF:  # a byte of a file name that is not UTF-8
         return f"\\x{ord(character) - 0xDC00:02x}"
     return character.encode("unicode_escape").decode("ascii")

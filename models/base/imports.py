@@ -25,7 +25,7 @@ from typing import Any
 from inclined_landing.models.base.errors import UserError
 
 Execute = Callable[[ModuleType], None]
-_BESIDE = str(Path(__file__).with_name("__pycache__"))  # where numba puts compiled functions first
+_BESIDE = str(Path(__file__).with_name("__pycache__"))  # numba's first choice for compiled functions
 
 
 def at_first_use(package: str, modules: dict[str, str]) -> Callable[[str], Any]:
@@ -84,12 +84,12 @@ def _with_or_without_opengl(execute: Execute, module: ModuleType) -> None:
     except Exception as error:  # whatever the libraries raise; MuJoCo itself survives ImportError alone
         reason = f"MUJOCO_GL={os.environ.get('MUJOCO_GL')} does not load: {error}"
 
-    class _MissingGLContext:  # as MuJoCo has it
+    class _MissingGLContext:  # the counterpart of MuJoCo's
         def __init__(self, *_, **__):
             raise ImportError(reason)
 
     module.GLContext = _MissingGLContext  # type: ignore[attr-defined]
-    # What was half loaded is forgotten: another OpenGL may be asked for.
+    # Half-loaded modules are forgotten: another OpenGL may be requested.
     os.environ.pop("PYOPENGL_PLATFORM", None)
     if before is not None:
         os.environ["PYOPENGL_PLATFORM"] = before

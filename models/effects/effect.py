@@ -17,7 +17,7 @@ from inclined_landing.models.vehicle import Vehicle
 class FittedConstant:
     """A constant of the vehicle that a parameter changes, which `landing-eval identify` reports."""
 
-    name: str  # as a person calls it
+    name: str  # the word in reports
     _: dataclasses.KW_ONLY
     field: str  # of Vehicle
     unit: str = "1"  # of the number reported
@@ -25,7 +25,7 @@ class FittedConstant:
     inverse: bool = False  # reported is 1 over the field
     also: tuple[str, ...] = ()  # fields that scale with it
     offset: bool = False  # the parameter is added to what is reported, else this is rescaled
-    parts: tuple[int, ...] = ()  # which numbers of the field it changes; (): all
+    parts: tuple[int, ...] = ()  # indices of the field's numbers that it changes; (): all
 
     def number(self, vehicle: Vehicle, value: float) -> float:
         """Return the number that is reported for a vehicle whose parameter is `value`."""
@@ -91,19 +91,19 @@ class Parameter:
     name: str
     _: dataclasses.KW_ONLY
     unit: str = "1"
-    neutral: float = 0.0  # at which the effect changes nothing, bit for bit
-    bounds: tuple[float, float]  # what a fit may find
+    neutral: float = 0.0  # with this value the effect changes nothing, bit for bit
+    bounds: tuple[float, float]  # limits of a fit
     plausible: float  # a value that a real vehicle may well have
     negligible: float  # distance from neutral, in the unit, that nobody needs to correct
     one_signed: bool = False  # below neutral lies no physical cause, only room for the noise of a fit
     # Field of Vehicle, or `field.k` for its number k: one-signed, it may shrink by what is there.
     adds_to: str = ""
-    is_reference: bool = False  # where another parameter acts about; no size of its own, any value is neutral
+    is_reference: bool = False  # the point about which another parameter acts; any value is neutral
     # For a reference: two sizes, one about each of its bounds, act like one size about a value between them.
     linear: bool = True
     constant: FittedConstant | None = None
     along_the_arm: bool = False  # a length that goes with the vehicle's arms
-    times: float = 1.0  # how many times as large its sizes are as for the shipped vehicle
+    times: float = 1.0  # factor on its sizes relative to the shipped vehicle
 
     @property
     def is_factor(self) -> bool:
@@ -230,9 +230,9 @@ class Effect:
     formula: str
     source: str
     parameters: tuple[Parameter, ...]
-    regimes: tuple[str, ...]  # where it shows: see REGIMES
+    regimes: tuple[str, ...]  # the regimes in which it is visible: see REGIMES
     confused_with: tuple[str, ...]  # effects that ordinary flights do not distinguish from it
-    remedy: str  # what a person can do about it
+    remedy: str  # advice to the user
     channels: tuple[str, ...]  # in what it shows: see CHANNELS
     apply: Callable[[Vehicle, Mapping[str, float]], Vehicle]
     says: str  # part of a sentence; {parameter} stands for its value with unit
@@ -249,7 +249,7 @@ class Effect:
     # Where its size follows only with another constant known, flights show a product: the acceleration that
     # it causes in hover. This is the part of a sentence on that product.
     product: str = ""
-    told_by: str = ""  # how it is measured without a flight, a sentence; "": by flights
+    told_by: str = ""  # a sentence on how to measure it without a flight; "": by flights
 
     @property
     def neutral(self) -> dict[str, float]:

@@ -53,7 +53,7 @@ class Job(msgspec.Struct, frozen=True):
     name: str
     lines: tuple[str, ...]
     sweep: str  # folder
-    directory: str  # from which relative names in the command lines are read
+    directory: str  # the base of relative names in the command lines
 
     @property
     def folder(self) -> Path:

@@ -34,7 +34,7 @@ class Number(Table, frozen=True, kw_only=True):
     entry: Literal["value", "low", "high", "min", "max"] = "value"  # of that row
     unit: Text = "1"
     factor: Annotated[float, Meta(gt=0, le=1e300)] = 1.0  # times what the file says
-    at_least: Real | None = None  # what every seed has to reach, in the unit
+    at_least: Real | None = None  # the bar for every seed, in the unit
 
 
 class Recipe(Table, frozen=True, kw_only=True):

@@ -23,7 +23,7 @@ from inclined_landing.models.base.errors import UserError, shown
 from inclined_landing.models.base.schema import Table
 from inclined_landing.train.sweep.recipe import Number, Recipe, filled
 
-Kind = Literal["number", "share", "flights"]  # what a value is: see above
+Kind = Literal["number", "share", "flights"]  # the kind of a value: see above
 
 
 class Measured(Table, frozen=True, kw_only=True):
@@ -64,7 +64,7 @@ class Measured(Table, frozen=True, kw_only=True):
 class Result(Table, frozen=True, kw_only=True):
     """The result of a sweep, as in result.json."""
 
-    command: str  # that runs it again
+    command: str  # the command that repeats the sweep
     versions: dict[str, Any]  # of packages and machine, as `runs.versions` gives them
     cpu_seconds: tuple[float, ...]  # of every run
     measured: tuple[Measured, ...]
@@ -102,7 +102,7 @@ def take(name: str, number: Number, folder: Path) -> tuple[Kind, Any]:
     if number.row:
         return _value_of_row(name, number, path, value)
     for key in number.path.split("."):
-        if value is None:  # what holds the number is null: it is not there either
+        if value is None:  # the entry around the number is null, so the number is missing too
             break
         try:
             value = value[int(key) if isinstance(value, list) else key]

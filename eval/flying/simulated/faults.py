@@ -14,7 +14,7 @@ DEAD_MAN_DELAY = 0.12  # s from the pilot's end to the stop of `DeadManSwitch`: 
 EVENTS = ("start", "air")
 
 
-FAULTS = {  # what goes wrong; `World.begin` lets it
+FAULTS = {  # names and descriptions; `World.begin` starts them
     "link-lost": "no packet gets through, either way; cflib's driver gives up soon after",
     "pilot-killed": f"the pilot's process is gone; its watchdog sends a stop {DEAD_MAN_DELAY:g} s later",
     "uplink-lost": "set-points do not arrive; the log continues",

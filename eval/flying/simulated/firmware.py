@@ -74,7 +74,7 @@ class Firmware:
     def __init__(self):
         self.state = State.NOT_INITIALIZED
         self.setpoint = FirmwareSetpoint()
-        self.thrust = 0.0  # that the motors have
+        self.thrust = 0.0  # the present thrust of the motors
         self.armed = self.crashed = self.emergency = self.tumbled = False
         self._commanded = False  # has the commander had a set-point: its priority is no longer "disable"
         self._locked = True

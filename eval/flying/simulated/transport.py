@@ -22,7 +22,7 @@ class LinkQuality:
     jitter: float = 0.001  # s, mean of an exponential on top
     failing: float = 0.05  # share of the attempts that fail
     again: float = 0.002  # s per further attempt
-    attempts: int = 100  # after which cflib's radio driver gives the link up (`_nr_of_retries`)
+    attempts: int = 100  # cflib's radio driver then gives up the link (`_nr_of_retries`)
     lost: float = 0.005  # share of the packets lost for good, in full queues
 
 

@@ -109,7 +109,7 @@ class World:
         self.sensors = OnboardSensors(self.body, lambda: self.firmware, specific_force, self.deck)
         self.time = 0.0
         self.on_link_lost: Callable[[str], None] = lambda reason: None
-        self.thrust = 0.0  # that the motors are given
+        self.thrust = 0.0  # the thrust commanded to the motors
         self._queue: list[tuple[float, int, Callable[[], object]]] = []
         self._count = itertools.count()
         self._frame = float(start.random()) / setting.cameras.rate
