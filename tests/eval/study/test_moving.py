@@ -56,7 +56,7 @@ def test_the_planner_lands_and_the_report_is_the_same_again(tmp_path, monkeypatc
     flown, first = pd.read_csv(out / "flights.csv"), fly(scenario, planner, 1).iloc[0]
     assert len(flown) == 4 and (flown["normal_speed"] > 0).all()
     for measure in ("at_rest", "normal_speed"):
-        assert float(flown[measure][0]) == pytest.approx(float(first[measure]), rel=1e-12)
+        assert float(flown[measure][0]) == pytest.approx(float(first[measure]), rel=1e-5)  # six digits
     assert sorted(p.name for p in out.iterdir()) == [
         *("flights.csv", "index.html", "moving.pdf", "moving.png", "robustness.json")
     ]
