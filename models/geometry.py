@@ -15,9 +15,9 @@ from typing import NamedTuple
 import mujoco
 import numpy as np
 
-from inclined_landing.models.attitude import PITCH, ROLL, YAW, rotation_entries, sine_cosine
+from inclined_landing.models.attitude import PITCH, ROLL, YAW, Z, rotation_entries, sine_cosine
 from inclined_landing.models.compiled import formula, inlined, kernel
-from inclined_landing.models.surface import normal_at_rest
+from inclined_landing.models.surface import slope_of
 from inclined_landing.models.vehicle import Vehicle
 
 PARTS = ("feet", "body", "rotors")
@@ -308,39 +308,18 @@ def hull_distance(place, axis, turns, position, fleet, member, lowered):
     return least
 
 
-@kernel
-def _platform_clearances(state, platform, present, half, thickness, fleet, out):
-    n = len(state)
-    inclination, azimuth, height = np.empty(n), np.empty(n), np.empty(n)
-    position, quaternion, distances = np.zeros((n, 4, 3)), np.zeros((n, 4, 4)), np.empty((n, 3, 3))
-    for i in range(n):
-        inclination[i], azimuth[i], height[i] = platform[i, PITCH], platform[i, YAW], platform[i, 2]
-        if platform[i, ROLL] != 0.0:
-            x, y, z = normal_at_rest(platform[i, ROLL], platform[i, PITCH])
-            inclination[i] = math.atan2(math.sqrt(x * x + y * y), z)
-            azimuth[i] += math.atan2(y, x)
-    _platform_poses(inclination, azimuth, height, present, half, thickness, position, quaternion)
-    for i in range(n):
-        for b in range(4):
-            position[i, b, 0] += platform[i, 0]
-            position[i, b, 1] += platform[i, 1]
-    _clearances(state, inclination, azimuth, position, np.zeros(n, np.int64), fleet, math.inf, distances)
-    for i in range(n):
-        out[i] = math.inf
-        for surface in range(2):
-            for part in range(3):
-                out[i] = min(out[i], distances[i, surface, part])
-
-
 def platform_clearances(state, platform, present, vehicle: Vehicle, shapes: Fleet) -> np.ndarray:
     """Return the distance (n,) [m] of vehicles in states (n, 13) to their platforms (n, 12); inf if absent.
 
     Every platform has a base as in `platform_poses`, for its present slope. Distances are negative if shapes
     overlap.
     """
-    size, out = (vehicle.slab_half_length, vehicle.platform_thickness), np.empty(len(state))
-    _platform_clearances(state, platform, np.asarray(present, bool), *size, shapes, out)
-    return out
+    inclination, azimuth, rolled = platform[:, PITCH], platform[:, YAW], platform[:, ROLL] != 0.0
+    if rolled.any():
+        inclination, azimuth = np.where(rolled, slope_of(platform), (inclination, azimuth))
+    position, _ = platform_poses(inclination, present, vehicle, platform[:, Z], azimuth)
+    position[:, :, :Z] += platform[:, None, :Z]
+    return clearances(state, inclination, position, shapes, azimuth=azimuth)[:, :2].min(axis=(1, 2))
 
 
 def clearances(

@@ -287,10 +287,14 @@ def _fly(ids, first, last, numbers, period, vehicles, platforms, engine, results
             # velocity relative to the platform's centre.
             t = step * dt
             here = y[X] - t * px, y[Y] - t * py, y[Z] - t * pz
-            distance = _distance(here, i, platforms, poses, flown, at, vehicles.fleet)
-            clear = distance - vehicles.keep_out, y[Z] - dt * drift, radius
+            height = y[Z] - dt * drift
             wx, wy, wz = y[VX] - px, y[VY] - py, y[VZ] - pz
             before = dt * _size(wx, wy, wz)
+            distance = geometry.least_distance(here[0], here[1], here[2], poses[0], platforms.reach)
+            clear, exact = (distance - vehicles.keep_out, height, radius), False
+            if not _spare(clear, step, approach) > 1.5 * before:
+                distance, exact = _distance(here, i, platforms, poses, flown, at, vehicles.fleet), True
+                clear = distance - vehicles.keep_out, height, radius
             if not known and _spare(clear, step, approach) <= before:
                 approach, known = dt * strays(i, time, present, motions, rates), True
             rate = y[equations.RATES], y[equations.RATES + 1], y[equations.RATES + 2]
@@ -312,6 +316,9 @@ def _fly(ids, first, last, numbers, period, vehicles, platforms, engine, results
             moved = _moved(wx, wy, wz, y[VX] - px, y[VY] - py, y[VZ] - pz, dt)
             if flat:
                 moved += radius * _turned(rate, y, dt)
+            if not (exact or _spare(clear, step, approach) > moved):
+                distance = _distance(here, i, platforms, poses, flown, at, vehicles.fleet)
+                clear = distance - vehicles.keep_out, height, radius
             if not known and _spare(clear, step, approach) <= moved:
                 approach, known = dt * strays(i, time, present, motions, rates), True
             if not _spare(clear, step, approach) > moved:
