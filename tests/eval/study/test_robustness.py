@@ -170,7 +170,7 @@ def test_drawn_vehicles_are_those_of_the_ranges(results):
 def test_the_command_over_vehicles_writes_a_whole_folder(tmp_path, capsys):
     arguments = ["landing", "--vehicle", "crazyflie-2.0", "--draws", "0", "--plant", "analytic"]
     assert cli.main(["robustness", *arguments, "--over=vehicles", "--out", str(tmp_path / "out")]) == 0
-    assert re.search(r"in \d+ of 251 flights \(.*\) with crazyflie-2\.0\.\n", capsys.readouterr().out)
+    assert re.search(r"in (\d+) of \1 flights \(.*\) with crazyflie-2\.0\.\n", capsys.readouterr().out)
     names = {"index.html", "flights.csv", "robustness.json", "vehicles.pdf", "vehicles.png"}
     assert {p.name for p in (tmp_path / "out").iterdir()} == names
     rows = json.loads((tmp_path / "out/robustness.json").read_text())["rows"]
