@@ -8,7 +8,7 @@ import pytest
 from msgspec import Meta
 
 from inclined_landing.envs.tasks import TASKS, InclinedLanding, InclinedTouchdown, SlopeLanding, make_task
-from inclined_landing.envs.tasks.training import Training
+from inclined_landing.envs.tasks.training import DEFAULTS, Training
 from inclined_landing.models.base.errors import UserError
 from inclined_landing.train.config import TrainConfig
 
@@ -31,6 +31,34 @@ def test_defaults_are_the_tasks_and_are_accepted(kind):
     always = {field.name for field in fields if field.metadata.get("recorded")}
     assert set(task.options) == always
     assert make_task(kind.name, **task.options).options == task.options
+
+
+CASES = {  # options of landing-train that select a column of the table
+    "landing": {"task": "landing", "nominal": True, "dimensions": 3},
+    "drawn": {"task": "landing"},
+    "drawn-from": {"task": "landing", "start_from": "landing"},
+    "drawn-slopes": {"task": "landing", "steepest": 20.0},
+    "drawn-space": {"task": "landing", "dimensions": 3},
+    "touchdown": {"task": "touchdown"},
+    "touchdown-2d": {"task": "touchdown", "dimensions": 2},
+    "setpoint": {"task": "setpoint"},
+}
+
+
+@pytest.mark.parametrize("case", DEFAULTS)
+def test_training_has_the_values_of_its_column(case):
+    column = DEFAULTS[case]
+    column.check()
+    resolved = TrainConfig(**CASES[case]).resolved()
+    expected = vars(column) | CASES[case]
+    if case == "drawn-from":  # at least 100 000 steps where training goes on
+        expected["min_steps"] = 100_000
+    if resolved.success is None:  # a fixed number of steps
+        expected |= {"min_steps": None, "max_steps": None}
+        expected["evaluate_every"] = 32 if column.randomise else column.evaluate_every
+    for name in expected.keys() & vars(resolved).keys():
+        found = getattr(resolved, name)
+        assert (str(found) if name == "randomise" and found else found) == expected[name], name
 
 
 def test_a_field_more_is_an_option_more():
