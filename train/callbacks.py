@@ -9,15 +9,12 @@ from contextlib import contextmanager
 
 import numpy as np
 import torch
-from rich.console import Console
-from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeRemainingColumn
 from stable_baselines3.common.callbacks import BaseCallback
 from stable_baselines3.common.on_policy_algorithm import OnPolicyAlgorithm
 
+from inclined_landing.envs.shared.progress import Tick
 from inclined_landing.models.base.errors import UserError
 from inclined_landing.train.curriculum import Curriculum
-
-EVERY = 20.0  # s between two lines on the progress of a training, at least, where there is no terminal
 
 
 class TimeSpent:
@@ -203,47 +200,16 @@ class Every(BaseCallback):
 
 
 class ProgressCallback(BaseCallback):
-    """A progress bar over environment steps with the curriculum's level; without a terminal, lines."""
+    """Shows the number of environment steps, with the curriculum's level and `notice`, by `tick`."""
 
-    def __init__(self, total_steps: int, curriculum: Curriculum):
+    def __init__(self, tick: Tick, total_steps: int, curriculum: Curriculum):
         super().__init__()
-        self.total, self.curriculum = total_steps, curriculum
+        self.tick, self.total, self.curriculum = tick, total_steps, curriculum
         self.notice = ""
-        self.bar: Progress | None = None
-        self.began = self.printed = time.monotonic()
-
-    def _on_training_start(self) -> None:
-        console = Console(stderr=True, soft_wrap=True, highlight=False)
-        self.bar = Progress(
-            TextColumn("training"),
-            BarColumn(),
-            MofNCompleteColumn(),
-            TimeRemainingColumn(),
-            TextColumn("{task.fields[notice]}"),
-            console=console,
-            disable=not console.is_terminal,
-        )
-        self.bar.start()
-        self.item = self.bar.add_task("", total=self.total, notice="", completed=self.num_timesteps)
 
     def _on_step(self) -> bool:
         return True
 
     def _on_rollout_end(self) -> None:
-        if self.bar is None:
-            return
-        notice = f"level {self.curriculum.level:.2f}{self.notice}"
-        done, now = min(self.num_timesteps, self.total), time.monotonic()
-        self.bar.update(self.item, completed=done, notice=notice)
-        if not self.bar.console.is_terminal and now - self.printed >= EVERY:
-            self.printed = now
-            self.bar.console.print(
-                f"{now - self.began:.0f} s: {done} of at most {self.total} steps, {notice}"
-            )
-
-    def close(self, at_end: bool = False) -> None:
-        """Stop drawing; at_end: whether success ended the run before its maximum number of steps."""
-        if self.bar is not None:
-            if at_end:
-                self.bar.update(self.item, total=self.bar.tasks[0].completed)
-            self.bar.stop()
+        done = min(self.num_timesteps, self.total)
+        self.tick(f"level {self.curriculum.level:.2f}{self.notice}", done)

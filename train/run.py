@@ -20,9 +20,11 @@ import shutil
 from collections.abc import Container
 from pathlib import Path
 
+from stable_baselines3.common.callbacks import BaseCallback
 from stable_baselines3.common.logger import Logger
 
 from inclined_landing.envs.shared import runs
+from inclined_landing.envs.shared.progress import Tick, stages
 from inclined_landing.envs.tasks.guard import TaskError
 from inclined_landing.models.base import storage
 from inclined_landing.models.base.errors import UserError, shown
@@ -94,6 +96,7 @@ class Run:
         learner, rows = self.learner, self.evaluation.rows
         self.ending = Ending(self.config, learner.curriculum, learner.history, rows)
         self.metrics = None if saved is None else self._finished()
+        self.progress: ProgressCallback | None = None
         self._stopped = False
 
     def execute(self) -> dict:
@@ -132,18 +135,37 @@ class Run:
     def _learn(self) -> None:
         """Train until the end, with all callbacks."""
         config, learner, model = self.config, self.learner, self.learner.model
-        self.progress = progress = ProgressCallback(config.most_steps(), learner.curriculum)
+        begun, resumed = learner.steps, self.begun_at is not None
+        events = EventFile(self.folder / "tensorboard", begun if resumed else None)
+        model.set_logger(Logger(str(self.folder), [events]))
+        remaining = 0 if self.ending.reached(begun) else config.most_steps() - begun
+        whole = math.ceil(remaining / config.per_iteration) * config.per_iteration
+        learner.clock.switch("training")
+        try:
+            if remaining > 0:
+                steps = "steps" if config.success is None else "steps at most"
+                with stages(config.most_steps(), steps, begun) as tick:
+                    model.learn(whole, self._callbacks(tick), log_interval=1, reset_num_timesteps=not resumed)
+        except _Reached:  # before a rollout: policy, vehicles and random states belong together
+            pass
+        finally:
+            model.logger.close()
+
+    def _callbacks(self, tick: Tick) -> list[BaseCallback]:
+        """Return what happens between the iterations, in this order."""
+        config, learner = self.config, self.learner
         assert config.learning_rate is not None and config.evaluate_every is not None
         first = 0 if self.begun_at is None else self.begun_at + 1
 
         def every(interval: int, action, least: int = 1) -> Every:
-            return Every(interval, action, self.config.per_iteration, max(least, first))
+            return Every(interval, action, config.per_iteration, max(least, first))
 
+        self.progress = ProgressCallback(tick, config.most_steps(), learner.curriculum)
         callbacks = [
             CurriculumCallback(learner.curriculum, config.steps, config.learning_rate),
             LearningCurve(learner.history, learner.curriculum, learner.clock),
             Averaging(learner.averages, learner.curriculum.averaging),
-            progress,
+            self.progress,
             every(config.evaluate_every, self._evaluate_or_end),
             every(config.checkpoint_every, self.checkpoint, least=0),
         ]
@@ -151,21 +173,7 @@ class Run:
             callbacks.append(CriticFirst(warm_start.CRITIC_FIRST))
         if config.max_seconds is not None:
             callbacks.append(every(1, self._in_time))
-        begun = learner.steps
-        resumed_at = None if self.begun_at is None else begun
-        model.set_logger(Logger(str(self.folder), [EventFile(self.folder / "tensorboard", resumed_at)]))
-        remaining = 0 if self.ending.reached(begun) else config.most_steps() - begun
-        whole = math.ceil(remaining / self.config.per_iteration) * self.config.per_iteration
-        reached = False
-        learner.clock.switch("training")
-        try:
-            if remaining > 0:
-                model.learn(whole, callbacks, log_interval=1, reset_num_timesteps=self.begun_at is None)
-        except _Reached:  # before a rollout: policy, vehicles and random states belong together
-            reached = True
-        finally:
-            progress.close(reached)
-            model.logger.close()
+        return callbacks
 
     def _evaluate_or_end(self, iteration: int) -> None:
         steps, curriculum = self.learner.steps, self.learner.curriculum
@@ -185,7 +193,8 @@ class Run:
         score = self.evaluation.evaluate(self.learner)
         for name, value in score.items():
             self.learner.model.logger.record(f"evaluation/{name}", value)
-        self.progress.notice = f", evaluation {self.evaluation.last}"
+        if self.progress is not None:
+            self.progress.notice = f", evaluation {self.evaluation.last}"
 
     def checkpoint(self, iteration: int) -> None:
         """Write everything needed to continue to one file, atomically; then write the curves."""

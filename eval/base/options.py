@@ -143,9 +143,6 @@ class LogSource(Reading):
 
     Args:
         files: CSV (.csv, .csv.gz), Crazyflie micro-SD binary or ROS bag; several files of one flight as A+B.
-        mapping: shipped mapping or mapping file (TOML), if the column names do not identify the format.
-        unit: unit of a column that states none, for example roll=deg; repeatable.
-        where: which rows to read, in a file with several vehicles, for example name=cf1; repeatable.
     """
 
     files: LogFiles
@@ -162,9 +159,6 @@ class FlightSource(LogSource):
     Args:
         files: flights to fit: CSV (.csv, .csv.gz), Crazyflie micro-SD binary or ROS bag; several files of
             one flight as A+B.
-        mapping: shipped mapping or mapping file (TOML), if the column names do not identify the format.
-        unit: unit of a column that states none, for example roll=deg; repeatable.
-        where: which rows to read, in a file with several vehicles, for example name=cf1; repeatable.
         heldout: flights used for evaluation only (default: each flight is evaluated with a fit to the
             others).
         vehicle: vehicle file (TOML) of the model (default: the shipped Crazyflie 2.1).

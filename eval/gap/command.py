@@ -28,7 +28,7 @@ def command(
             the vehicle that the flights were compared with, unless it is the shipped one.
     """
     from inclined_landing.envs.shared import runs
-    from inclined_landing.eval.base.progress import stages
+    from inclined_landing.envs.shared.progress import stages
     from inclined_landing.eval.gap import diagnose
     from inclined_landing.eval.gap.answer.identification import identify
     from inclined_landing.eval.gap.flights.usable import read_flights

@@ -18,7 +18,7 @@ def command(source: Flat[FlightSource], out: RunFolder) -> None:
             report.html and report.json.
     """
     from inclined_landing.envs.shared import runs
-    from inclined_landing.eval.base.progress import stages
+    from inclined_landing.envs.shared.progress import stages
     from inclined_landing.eval.gap.answer.identification import identify
     from inclined_landing.eval.gap.flights.usable import read_flights
     from inclined_landing.eval.gap.report import files, identified, page

@@ -18,8 +18,8 @@ import pyarrow as pa
 import pyarrow.parquet as pq
 
 from inclined_landing.envs.shared import pool, runs
+from inclined_landing.envs.shared.progress import stages
 from inclined_landing.envs.tasks import hover_states
-from inclined_landing.eval.base.progress import stages
 from inclined_landing.eval.landings import design, landing
 from inclined_landing.eval.landings.parameters import known_parameters
 from inclined_landing.eval.landings.study import Study

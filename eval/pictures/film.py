@@ -11,8 +11,8 @@ import numpy as np
 
 from inclined_landing.envs.flights import Flight
 from inclined_landing.envs.mission import Mission
+from inclined_landing.envs.shared.progress import Tick, stages
 from inclined_landing.eval.base.options import FITTED
-from inclined_landing.eval.base.progress import Tick, stages
 from inclined_landing.eval.pictures.frames import flight_view, render_flight, renderer_for, write_videos
 from inclined_landing.models.base.errors import UserError
 

@@ -23,8 +23,8 @@ import pandas as pd
 from inclined_landing.envs.mission import LANDING, LEGS, Mission, MissionPlan, fly_missions
 from inclined_landing.envs.policy import load_policy
 from inclined_landing.envs.shared.measures import Row, count_words, counted, median_of, share_of
+from inclined_landing.envs.shared.progress import stages
 from inclined_landing.eval.base.options import Look
-from inclined_landing.eval.base.progress import stages
 from inclined_landing.eval.base.starts import read_point
 from inclined_landing.eval.base.style import save_figure
 from inclined_landing.eval.pictures import film

@@ -15,10 +15,10 @@ from matplotlib.figure import Figure
 from matplotlib.layout_engine import ConstrainedLayoutEngine
 
 from inclined_landing.envs.shared import runs
+from inclined_landing.envs.shared.progress import stages
 from inclined_landing.envs.shared.tables import say
 from inclined_landing.eval.base.claims import Claim, Section, number
 from inclined_landing.eval.base.page import of_sections, png
-from inclined_landing.eval.base.progress import stages
 from inclined_landing.eval.base.style import styled
 from inclined_landing.models.base import storage
 

@@ -21,10 +21,10 @@ from msgspec import Meta
 
 from inclined_landing.envs.policy import Policy
 from inclined_landing.envs.shared import runs
+from inclined_landing.envs.shared.progress import stages
 from inclined_landing.envs.shared.statistics import proportion, spread
 from inclined_landing.envs.tasks.landing import PAPER_RESULTS
 from inclined_landing.eval.base.options import Flag, NewFolder, Seed
-from inclined_landing.eval.base.progress import stages
 from inclined_landing.eval.flying import safety
 from inclined_landing.eval.flying.fly import FlightOptions
 from inclined_landing.eval.flying.pilot import Pilot

@@ -11,7 +11,7 @@ from pathlib import Path
 from typing import Any
 
 from inclined_landing.envs.shared import runs
-from inclined_landing.eval.base.progress import stages
+from inclined_landing.envs.shared.progress import stages
 from inclined_landing.models.base import storage
 from inclined_landing.models.base.errors import UserError
 

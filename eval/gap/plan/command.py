@@ -29,8 +29,8 @@ def command(
         seconds: duration of the flight.
     """
     from inclined_landing.envs.shared import runs
+    from inclined_landing.envs.shared.progress import stages
     from inclined_landing.envs.shared.tables import say
-    from inclined_landing.eval.base.progress import stages
     from inclined_landing.eval.gap import thresholds
     from inclined_landing.eval.gap.plan import doubt
     from inclined_landing.eval.gap.plan.design import design

@@ -7,8 +7,8 @@ import numpy as np
 import pandas as pd
 import pytest
 
+from inclined_landing.envs.shared import progress
 from inclined_landing.envs.shared.measures import STRICT, TOUCHED, alone, median_of, with_ends
-from inclined_landing.eval.base import progress
 from inclined_landing.eval.study import panels, show
 from inclined_landing.eval.study.engine import Case, Contrast, Panel, Study, View, run
 from inclined_landing.models.base.errors import UserError

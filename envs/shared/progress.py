@@ -45,7 +45,7 @@ def stages(total: float | None = None, what: str = "", done: float = 0) -> Itera
         about = f"about {left / 60:.0f} min left" if left > 90 else f"about {left:.0f} s left"
         if count >= total or count - before < FORESEEN * total:
             about = ""
-        return ", ".join(filter(None, (f"{count:g} of {total:g} {what}", about, words)))
+        return ", ".join(filter(None, (f"{round(count, 3):.12g} of {total:.12g} {what}", about, words)))
 
     with Progress(*columns, console=console, transient=True, disable=not console.is_terminal) as bar:
         task = bar.add_task("", total=total, completed=int(done))
