@@ -8,10 +8,10 @@ from pathlib import Path
 
 from inclined_landing.envs.ids import SHIPPED
 from inclined_landing.envs.policy import Policy, load_policy
+from inclined_landing.envs.shared.progress import stages
 from inclined_landing.envs.shared.tables import say
 from inclined_landing.envs.tasks import Task
 from inclined_landing.envs.tasks.landing import LandingConditions
-from inclined_landing.eval.base.progress import stages
 from inclined_landing.eval.study import groups, motor_cut, moving
 from inclined_landing.eval.study.engine import Study, run
 from inclined_landing.eval.study.options import NOMINAL
