@@ -1,8 +1,7 @@
-"""Common parts of both sets of claims: `claims.toml`, page, JSON and figures."""
+"""Common parts of both sets of claims: `claims.toml`, measurement, page and JSON."""
 
 from __future__ import annotations
 
-import functools
 import math
 import tomllib
 from collections.abc import Callable, Mapping
@@ -10,16 +9,11 @@ from concurrent.futures import ThreadPoolExecutor
 from importlib import resources
 from pathlib import Path
 
-import matplotlib
-from matplotlib.figure import Figure
-from matplotlib.layout_engine import ConstrainedLayoutEngine
-
 from inclined_landing.envs.shared import runs
 from inclined_landing.envs.shared.progress import stages
 from inclined_landing.envs.shared.tables import say
 from inclined_landing.eval.base.claims import Claim, Section, number
 from inclined_landing.eval.base.page import of_sections, png
-from inclined_landing.eval.base.style import styled
 from inclined_landing.models.base import storage
 
 
@@ -52,25 +46,6 @@ class Words:
         figures = {f"{key}.png": entry["figure"]} if "figure" in entry else {}
         fields = {"remarks": remarks, "figures": figures} | rest
         return Section(key, entry["title"], entry["text"].format(**filling), claims, **fields)
-
-
-def panels(count: int, width: float = 3.5, height: float = 3.15):
-    """Return a decorator that makes a function of data and `count` axes one of the data alone.
-
-    width, height [in]: of each panel. The decorated function returns the figure.
-    """
-
-    def decorate(draw: Callable[..., None]) -> Callable[..., Figure]:
-        @functools.wraps(draw)
-        def drawn(*data) -> Figure:
-            with styled(), matplotlib.rc_context({"axes.grid": True, "lines.markersize": 4}):
-                figure = Figure(figsize=(width * count, height), layout=ConstrainedLayoutEngine(wspace=0.05))
-                draw(*data, *figure.subplots(1, count, squeeze=False)[0])
-            return figure
-
-        return drawn
-
-    return decorate
 
 
 def measured(work: Mapping[str, Callable[[], Section]], longest: str) -> list[Section]:

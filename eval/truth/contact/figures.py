@@ -2,40 +2,24 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
-from typing import Any
-
 import numpy as np
 from matplotlib.axes import Axes
 
-from inclined_landing.eval.base.style import BLUE, GREEN, INK, MUTED, ORANGE, PURPLE, legend_below
-from inclined_landing.eval.truth.report import panels
-
-_COLOURS = (BLUE, ORANGE, GREEN, PURPLE, INK)
-_DASHED: dict[str, Any] = {"color": MUTED, "lw": 1.2, "ls": (0, (5, 2))}
-
-
-def _curves(axes: Axes, x: Sequence[float], curves: Mapping[str, Sequence[float]], **labels: Any) -> None:
-    """Draw curves by name over x; labels: labels, limits and scales of the axes."""
-    for (name, values), colour in zip(curves.items(), _COLOURS):
-        axes.plot(x, values, "o-", color=colour, ms=3.5, lw=1.2, label=name)
-    axes.set(**labels)
-    if "xscale" in labels:
-        axes.set_xticks(x, [f"{tick:g}" for tick in x])
-        axes.minorticks_off()
+from inclined_landing.eval.base.style import INK, legend_below
+from inclined_landing.eval.truth.figures import DASHED, curves, panels
 
 
 @panels(2, 3.8)
 def rest(data: dict, force: Axes, creep: Axes) -> None:
     """Draw forces at rest over inclination, and creep over restitution."""
     slope, weight = np.radians(data["degrees"]), data["expected"][0, 0]
-    _curves(force, data["degrees"], {name: data[name] for name in ("normal", "tangential")},
+    curves(force, data["degrees"], {name: data[name] for name in ("normal", "tangential")},
             xlabel="inclination [deg]", ylabel="force at rest [N]", ylim=(-0.01, 1.15 * weight))  # fmt: skip
-    force.plot(data["degrees"], weight * np.cos(slope), **_DASHED, label="m g cos, m g sin")
-    force.plot(data["degrees"], weight * np.sin(slope), **_DASHED)
-    _curves(creep, data["restitution"], {"measured": 1e3 * data["creep_of_restitution"]},
+    force.plot(data["degrees"], weight * np.cos(slope), **DASHED, label="m g cos, m g sin")
+    force.plot(data["degrees"], weight * np.sin(slope), **DASHED)
+    curves(creep, data["restitution"], {"measured": 1e3 * data["creep_of_restitution"]},
             xlabel="restitution setting", ylabel="creep, default slope [mm/s]", yscale="log")  # fmt: skip
-    creep.axhline(0.2, **_DASHED, label="required: below 0.2 mm/s")
+    creep.axhline(0.2, **DASHED, label="required: below 0.2 mm/s")
     for axes in (force, creep):
         legend_below(axes, ncols=3)
 
@@ -43,8 +27,8 @@ def rest(data: dict, force: Axes, creep: Axes) -> None:
 @panels(1, 5.0)
 def slip(data: dict, axes: Axes) -> None:
     """Draw acceleration around the friction angle."""
-    curves = {f"friction {mu:g}": values for mu, values in zip(data["friction"], data["acceleration"])}
-    _curves(axes, data["around"], curves,
+    by_friction = zip(data["friction"], data["acceleration"])
+    curves(axes, data["around"], {f"friction {mu:g}": values for mu, values in by_friction},
             xlabel="inclination - atan(friction) [deg]", ylabel="acceleration [m/s²]")  # fmt: skip
     legend_below(axes, ncols=3)
 
@@ -54,14 +38,14 @@ def restitution(data: dict, times: Axes, speeds: Axes) -> None:
     """Draw measured over set restitution, by contact time and by drop speed."""
     by_time = zip(data["contact_time"], data["measured at 1 m/s"])
     by_speed = {f"{speed:g} m/s": data[f"measured at {speed:g} m/s"][-1] for speed in data["speeds"]}
-    _curves(times, data["set"], {f"{1e3 * t:g} ms": values for t, values in by_time})
-    _curves(speeds, data["set"], by_speed)
+    curves(times, data["set"], {f"{1e3 * t:g} ms": values for t, values in by_time})
+    curves(speeds, data["set"], by_speed)
     times.set_title("drops at 1 m/s, by contact time", loc="left")
     speeds.set_title("contact time 20 ms, by drop speed", loc="left")
     for axes in (times, speeds):
-        axes.plot([0, 0.6], [0, 0.6], **_DASHED, zorder=1, label="setting")
+        axes.plot([0, 0.6], [0, 0.6], **DASHED, zorder=1, label="setting")
         axes.set(xlabel="restitution setting", ylabel="measured restitution")
-        legend_below(axes, ncols=4)
+        legend_below(axes, ncols=3)
 
 
 @panels(1, 5.0)
@@ -70,14 +54,14 @@ def impulse(data: dict, axes: Axes) -> None:
     rows = {k: [row for row in data["rows"] if row["setting"] == k] for k in ("default", "0.6")}
     steps = [1e3 * row["step"] for row in rows["default"]]
     names = {"default": "default", "0.6": "restitution 0.6"}
-    curves = {
+    errors = {
         f"{names[k]}, {key}": [100 * max(abs(row[key]), 1e-4) for row in found]
         for k, found in rows.items()
         for key in ("worst", "mean")
     }
-    _curves(axes, steps, curves, xlabel="step [ms]", ylabel="error of the impulse [%]",
-            xscale="log", yscale="log", ylim=(0.01, 40))  # fmt: skip
-    axes.axhline(2, **_DASHED, label="2 %")
+    curves(axes, steps, errors, xlabel="step [ms]", ylabel="error of the impulse [%]",
+            xscale="log", yscale="log", ylim=(0.008, 40))  # fmt: skip
+    axes.axhline(2, **DASHED, label="2 %")
     legend_below(axes)
 
 
@@ -85,10 +69,10 @@ def impulse(data: dict, axes: Axes) -> None:
 def penetration(data: dict, axes: Axes) -> None:
     """Draw the deepest penetration of the feet over the normal velocity."""
     by_time = zip(data["contact_time"], data["depth"].T)
-    curves = {f"contact time {1e3 * t:g} ms": 1e3 * values for t, values in by_time}
-    _curves(axes, data["speeds"], {"default": 1e3 * data["default"]} | curves,
-            xlabel="normal speed [m/s]", ylabel="deepest penetration [mm]", ylim=(0, 12))  # fmt: skip
-    axes.plot([1.0], [5.0], "x", color=MUTED, ms=7, mew=1.8, label="required: below 5 mm at 1 m/s")
+    depths = {f"contact time {1e3 * t:g} ms": 1e3 * values for t, values in by_time}
+    curves(axes, data["speeds"], {"default": 1e3 * data["default"]} | depths,
+            xlabel="normal speed [m/s]", ylabel="deepest penetration [mm]", ylim=(0, None))  # fmt: skip
+    axes.plot([1.0], [5.0], "x", color=INK, ms=9, mew=1.8, zorder=5, label="required: below 5 mm at 1 m/s")
     legend_below(axes, ncols=3)
 
 
@@ -97,12 +81,12 @@ def convergence(data: dict, scatter: Axes, depth: Axes) -> None:
     """Draw the scatter of rebounds and the error of penetration over the time step."""
     steps = 1e3 * np.array(data["steps"])
     error = 1e3 * np.abs(data["depth"][:-1] - data["depth"][-1])
-    curves = dict(zip(("restitution 0.3", "restitution 0.6"), data["scatter"].T))
+    scatters = dict(zip(("restitution 0.3", "restitution 0.6"), data["scatter"].T))
     scales = {"xlabel": "step [ms]", "xscale": "log", "yscale": "log"}
-    _curves(scatter, steps, curves, ylabel="scatter of the rebound", **scales)
-    _curves(depth, steps[:-1], {"against 0.25 ms": error}, ylabel="error of the penetration [mm]", **scales)
+    curves(scatter, steps, scatters, ylabel="scatter of the rebound", **scales)
+    curves(depth, steps[:-1], {"against 0.25 ms": error}, ylabel="error of the penetration [mm]", **scales)
     for axes, first in ((scatter, data["scatter"][0, 0]), (depth, error[0])):
-        axes.plot(steps, first * steps / steps[0], **_DASHED, label="first order")
+        axes.plot(steps, first * steps / steps[0], **DASHED, label="first order")
         legend_below(axes, ncols=3)
 
 
@@ -110,9 +94,10 @@ def convergence(data: dict, scatter: Axes, depth: Axes) -> None:
 def tumbling(data: dict, axes: Axes) -> None:
     """Draw the share of drops that gain energy over their speed."""
     names = [s if s == "default" else f"restitution {s:g}" for s in data["settings"]]
-    _curves(axes, data["speeds"], dict(zip(names, 100 * data["share"])),
-            xlabel="speed [m/s]", ylabel="drops that gain over 1 % [%]", ylim=(-1, None))  # fmt: skip
-    legend_below(axes, ncols=3)
+    most = 100 * data["share"].max()
+    curves(axes, data["speeds"], dict(zip(names, 100 * data["share"])), xlabel="speed [m/s]",
+           ylabel="drops that gain over 1 % [%]", ylim=(-0.05, 1.05 * max(1.0, most)))  # fmt: skip
+    legend_below(axes, ncols=2)
 
 
 DRAW = {

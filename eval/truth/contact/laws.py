@@ -27,6 +27,7 @@ from inclined_landing.models.vehicle import Vehicle
 
 WORDS = Words(__package__)  # with the tolerances
 GRIP = 1.6  # friction that holds the vehicle on every supported slope (tan 50 deg = 1.19)
+FALL = 0.6  # s of a random drop
 STUDY_TIME = 0.02  # s, contact time of the settings that are compared
 FASTEST = contact.FASTEST  # m/s
 RESTITUTIONS = (0.0, 0.1, 0.2, 0.3, 0.4, 0.5, 0.6)
@@ -220,7 +221,8 @@ def tumbling(vehicle: Vehicle, n: int = 100, dropped: int = 1000) -> Section:
     for i, setting in enumerate(settings):
         for j, speed in enumerate(speeds):
             spring = {} if setting is None else {"restitution": setting, "contact_time": STUDY_TIME}
-            energies, _ = _tumble(vehicle, np.full(n, speed), slope, spring)
+            falling = fall_at(vehicle, np.full(n, speed), slope, spring)
+            energies = energy(advance(falling.plant, FALL), vehicle)
             scale = 0.5 * vehicle.body_mass * speed**2
             gain = (energies.max(axis=0) - energies[0]) / scale
             growth[i, j], share[i, j] = gain.max(), (gain > 0.01).mean()
@@ -237,7 +239,7 @@ def tumbling(vehicle: Vehicle, n: int = 100, dropped: int = 1000) -> Section:
         "moving_through": (spring, "moving slab"),
     }
     through = {
-        key: int(_tumble(vehicle, speed, slope, setting, onto)[1].sum())
+        key: int(passed(fall_at(vehicle, speed, slope, setting, onto)).sum())
         for key, (setting, onto) in kinds.items()
     }
     return _section(
@@ -259,10 +261,20 @@ def tumbling(vehicle: Vehicle, n: int = 100, dropped: int = 1000) -> Section:
     )
 
 
-def _tumble(
+@dataclasses.dataclass(frozen=True)
+class Falling:
+    """Vehicles that fly at surfaces in random attitudes and spins; arrays of n rows."""
+
+    plant: MujocoPlant
+    point: np.ndarray  # (n, 3) m, on the surface, at which the vehicle flies
+    normal: np.ndarray  # (n, 3) of the surface
+    rising: np.ndarray  # (n, 3) m/s, velocity of the surface
+
+
+def fall_at(
     vehicle: Vehicle, speed: np.ndarray, slope: np.ndarray, spring: dict[str, Any], onto: str = "slab"
-) -> tuple[np.ndarray, np.ndarray]:
-    """Return the energies (steps + 1, n) [J] and which vehicles passed the surface (n,).
+) -> Falling:
+    """Return vehicles before they reach a surface.
 
     speed (n,) [m/s] into it; slope (n,) [rad] of the slab; spring: contact settings, if not the default.
     onto: the slab; a moving slab, which rises along its normal by half of that speed; or, level, one of the
@@ -287,11 +299,31 @@ def _tumble(
     state[:, :3] = point + normal * 0.075
     state[:, VX : VZ + 1] = rising - normal * speed[:, None]
     plant.reset(ids, state)
-    flown = advance(plant, 0.6)
-    away = flown[..., :3] - point - rising * STEP * np.arange(len(flown))[:, None, None]
-    height = (away * normal).sum(axis=2)
-    inside = np.linalg.norm(away - height[..., None] * normal, axis=2) < 0.2
-    return energy(flown, vehicle), (inside & (height < -vehicle.platform_thickness)).any(axis=0)
+    return Falling(plant, point, normal, rising)
+
+
+def passed(falling: Falling) -> np.ndarray:
+    """Return which vehicles are behind the surface within FALL (n,), near where they flew at it.
+
+    Each is followed until it has passed, or cannot any more.
+    """
+    plant, steps = falling.plant, round(FALL / STEP)
+    behind, active, off = np.zeros(plant.n, bool), np.arange(plant.n), np.zeros((plant.n, 4))
+    for k in range(1, steps + 1):
+        plant.advance(off, active)
+        plant.check()
+        normal, rising, state = falling.normal[active], falling.rising[active], plant.state[active]
+        away = state[:, :3] - falling.point[active] - rising * STEP * k
+        height = (away * normal).sum(axis=1)
+        aside = np.linalg.norm(away - height[:, None] * normal, axis=1)
+        above, beside = height + plant.vehicle.platform_thickness, aside - 0.2
+        behind[active] = (above < 0.0) & (beside < 0.0)
+        # In the time that is left it moves by at most v t + g t^2/2, with a tenth more speed than it has.
+        left, speed = (steps - k) * STEP, np.linalg.norm(state[:, VX : VZ + 1] - rising, axis=1)
+        reach = 1.1 * speed * left + 0.5 * plant.vehicle.environment_gravity * left**2
+        there = np.hypot(np.maximum(above, 0.0), np.maximum(beside, 0.0)) <= reach
+        active = active[there & ~behind[active]]
+    return behind
 
 
 def parts(vehicle: Vehicle) -> Section:

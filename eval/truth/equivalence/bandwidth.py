@@ -10,7 +10,7 @@ import numpy as np
 from matplotlib.axes import Axes
 
 from inclined_landing.eval.base.claims import Claim, Section, Table
-from inclined_landing.eval.base.style import BLUE, INK, MUTED, ORANGE, legend_below
+from inclined_landing.eval.base.style import BLUE, INK, legend_below
 from inclined_landing.eval.truth.equivalence import flying
 from inclined_landing.eval.truth.equivalence.flying import (
     WORDS,
@@ -20,7 +20,7 @@ from inclined_landing.eval.truth.equivalence.flying import (
     equations,
     position_gap,
 )
-from inclined_landing.eval.truth.report import panels
+from inclined_landing.eval.truth.figures import DASHED, curves, panels
 from inclined_landing.models.vehicle import Vehicle
 
 BANDWIDTHS = (25.0, 50.0, 100.0, 200.0, 400.0)  # 1/s
@@ -79,15 +79,12 @@ def draw(v: Vehicle, gaps: list[Gap], axis: Axes) -> None:
     b, rms = np.array([(g.bandwidth, g.rms) for g in gaps]).T
     for g in gaps:
         axis.plot(np.full(len(g.paper), g.bandwidth), g.paper, ".", color=BLUE, alpha=0.3, ms=5)
-    axis.loglog(b, rms, "-o", color=BLUE, ms=5, label="paper's equations, rms (dots: each flight)")
-    axis.loglog(b, rms[-1] * b[-1] / b, "--", color=MUTED, lw=1, label="proportional to 1/B")
-    extended = [g.extended for g in gaps]
-    axis.loglog(b, extended, "-s", color=ORANGE, ms=5, label="equations extended with B")
+    distances = {"paper's equations, rms (dots: each flight)": rms}
+    distances["equations extended with B"] = [g.extended for g in gaps]
+    curves(axis, b, distances, title="Distance over 6 s of full steps, 3-D", xlabel="bandwidth B [1/s]",
+           ylabel="distance [m]", xscale="log", yscale="log", ylim=(1e-7, 3e2))  # fmt: skip
+    axis.plot(b, rms[-1] * b[-1] / b, **DASHED, label="proportional to 1/B")
     axis.axvline(v.attitude_bandwidth, color=INK, lw=1, ls=":", label="default bandwidth")
-    axis.set_xticks(b, [f"{x:g}" for x in b])
-    axis.minorticks_off()
-    title = "Distance over 6 s of full steps, 3-D"
-    axis.set(title=title, xlabel="bandwidth B [1/s]", ylabel="distance [m]", ylim=(1e-7, 3e2))
     legend_below(axis)
 
 

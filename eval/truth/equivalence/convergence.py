@@ -9,10 +9,10 @@ import numpy as np
 from matplotlib.axes import Axes
 
 from inclined_landing.eval.base.claims import Claim, Section, Table
-from inclined_landing.eval.base.style import BLUE, GREEN, MUTED, ORANGE, legend_below
+from inclined_landing.eval.base.style import legend_below
 from inclined_landing.eval.truth.equivalence import flying
 from inclined_landing.eval.truth.equivalence.flying import ATTITUDES, WORDS, engine, equations
-from inclined_landing.eval.truth.report import panels
+from inclined_landing.eval.truth.figures import curves, panels
 from inclined_landing.models.plants import Attitude, Plant
 from inclined_landing.models.vehicle import Vehicle
 
@@ -66,16 +66,11 @@ def measure(vehicle: Vehicle, commands: np.ndarray) -> list[Convergence]:
 @panels(2, 4.6, 4.0)
 def draw(found: list[Convergence], *axes: Axes) -> None:
     """Plot the error against the step size for every integrator and both modes."""
-    looks = {"RK4": (BLUE, "o", "-"), "implicitfast": (ORANGE, "s", "-"), "Euler": (GREEN, "^", "--")}
-    looks["equations, RK4"] = MUTED, "x", "-"
     for axis, attitude in zip(axes, ATTITUDES):
-        for c in (c for c in found if c.attitude == attitude):
-            look = dict(zip(("color", "marker", "ls"), looks[c.integrator]), ms=5, lw=1.4)
-            axis.loglog(STEPS_MS, c.errors, label=f"{c.integrator}: order {c.order:.2f}", **look)
-        axis.set_xticks(STEPS_MS, [f"{h:g}" for h in STEPS_MS])
-        axis.minorticks_off()
-        title = attitude.replace("_", " ").capitalize()
-        axis.set(title=title, xlabel="step [ms]", ylabel="position error after 1 s [m]", ylim=(3e-11, 0.3))
+        errors = {f"{c.integrator}: order {c.order:.2f}": c.errors for c in found if c.attitude == attitude}
+        curves(axis, STEPS_MS, errors, title=attitude.replace("_", " ").capitalize(),
+               xlabel="step [ms]", ylabel="position error after 1 s [m]",
+               xscale="log", yscale="log", ylim=(3e-11, 0.3))  # fmt: skip
         legend_below(axis)
 
 

@@ -23,7 +23,7 @@ from inclined_landing.eval.truth.equivalence.flying import (
     equations,
     position_gap,
 )
-from inclined_landing.eval.truth.report import panels
+from inclined_landing.eval.truth.figures import panels
 from inclined_landing.models.attitude import LAG, ROLL, VX, VZ, WX, WZ, YAW, X, Z, body_rates, quaternion
 from inclined_landing.models.equations import derivative
 from inclined_landing.models.parameters import constants

@@ -2,6 +2,7 @@
 
 import json
 
+import numpy as np
 import pytest
 
 from inclined_landing.eval.cli import main
@@ -32,6 +33,13 @@ def test_contact_obeys_mechanics(name):
 def test_random_drops_gain_no_energy_and_stay_above_the_slab():
     section = laws.tumbling(V, n=6, dropped=40)
     assert not [c.record() for c in section.claims if not c.passed and c.name != RARE]
+
+
+def test_drops_without_a_surface_are_seen_to_pass():
+    """At 4 m/s they are 2 cm behind it after 24 ms, and 2.3 m after 0.6 s."""
+    falling = laws.fall_at(V, np.full(4, 4.0), np.full(4, -0.3), {})
+    falling.plant.set_platform(np.arange(4), -0.3, [False, False, True, True])
+    assert laws.passed(falling).tolist() == [True, True, False, False]
 
 
 def test_the_page_is_written(tmp_path, monkeypatch, capsys):
