@@ -32,11 +32,11 @@ GATE, FLOOR = (0.7, 0.5), (0.4, 0.3)
 # Of `BalancedCurriculum`: share of gate and floor that success from either side of the goal must exceed; the
 # Kullback-Leibler divergence between the policies before and after an update that the learning rate is
 # adapted to, and the factor by which it then changes; steps after the first success from which on policies
-# are evaluated; weight of the past in the average of the weights; least standard deviation of the exploration
-# noise.
+# are evaluated, and from which on it is enough that their success has stopped rising; weight of the past in
+# the average of the weights; least standard deviation of the exploration noise.
 EITHER_SIDE = 0.75
 DIVERGENCE, PACE = 0.015, 1.5
-READY = 100_000
+READY, PATIENT = 100_000, 1_000_000
 AVERAGING = 0.8
 LEAST_NOISE = 0.22
 # Parts of a landing's curriculum that `--without` leaves out, and their fields of `LandingConditions`.
@@ -281,9 +281,10 @@ class BalancedCurriculum(AdaptiveCurriculum):
     An update at learning rate a moves a policy with exploration noise s by a Kullback-Leibler divergence of
     about (a / s)^2. At a constant rate updates grow as the noise falls, until success no longer rises. The
     rate is therefore reduced after an update with more than twice DIVERGENCE and raised again, up to that of
-    the adaptive curriculum, after one with less than half of it. The noise does not fall below LEAST_NOISE,
-    as otherwise such small updates change little. The policy that is evaluated and saved has averaged
-    weights, which fluctuate less.
+    the adaptive curriculum, after one with less than half of it. In a run that ends by success it does not
+    fall otherwise: policies that do not land all vehicles yet need it to learn the remaining ones. The noise
+    does not fall below LEAST_NOISE, as otherwise such small updates change little. The policy that is
+    evaluated and saved has averaged weights, which fluctuate less.
     """
 
     name = "balanced"
@@ -291,7 +292,6 @@ class BalancedCurriculum(AdaptiveCurriculum):
 
     def __init__(self, gamma: float | str):
         super().__init__(gamma, gate=GATE[1], floor=FLOOR[1])
-        self.settling, self.most_restarts = SETTLING[1], RESTARTS[1]
         window = self.recent.maxlen or 0
         self.left: deque[bool] = deque(maxlen=window // 2)
         self.right: deque[bool] = deque(maxlen=window // 2)
@@ -322,6 +322,12 @@ class BalancedCurriculum(AdaptiveCurriculum):
             self.pace /= PACE
         elif divergence < 0.5 * DIVERGENCE:
             self.pace = min(1.0, self.pace * PACE)
+
+    def learning_rate_share(self, steps: int, total: int | None) -> float:
+        return 1.0 if total is None else super().learning_rate_share(steps, total)
+
+    def settled(self, steps: int) -> bool:
+        return self.full_at is not None and steps >= self.full_at + PATIENT
 
     def is_ready(self, steps: int) -> bool:
         return self.full_at is not None and steps >= self.full_at + READY

@@ -41,7 +41,7 @@ all_commands   False     True      True        True          True         True  
 curriculum     adaptive  balanced  adaptive    adaptive      adaptive     touchdown  touchdown       effort
 learning_rate  2e-3      2e-3      2e-3        2e-3          1e-3         3e-4       4e-4            2e-3
 log_std_init   -0.4      -0.4      -0.4        -0.4          -0.4         -2.2       -1.2            -0.4
-gamma          0.98      0.98      0.98        0.98          0.98         0.998      0.99            0.97
+gamma          0.98      0.99      0.98        0.98          0.98         0.998      0.99            0.97
 gae_lambda     0.95      0.85      0.85        0.95          0.95         0.95       0.95            0.95
 environments   64        128       128         64            64           128        64              64
 rollout        64        32        32          64            128          128        128             64
@@ -54,6 +54,8 @@ evaluate_every 16        8         16          16            16           16    
 #       set-point, four of ten leave some starts 7 to 9 cm off.
 #   gae_lambda: with 0.95 half a million steps land 78 % of the drawn vehicles, with 0.85 84 % (means of four
 #       seeds).
+#   gamma of drawn vehicles: a landing takes up to 150 steps. With 0.98 its return from afar is hardly higher
+#       than that of hovering for good, and one of ten seeds hovered 2 m from the goal, on one side of it.
 #   rollout, learning_rate in space: vehicles differ in more than in the plane; with its rates one of three
 #       seeds learned the landing.
 #   history of the touchdown: over moving platforms it shows the platform's motion.

@@ -14,6 +14,8 @@ from inclined_landing.models.base.errors import UserError
 from inclined_landing.train import callbacks
 from inclined_landing.train.curriculum import (
     PARTS,
+    PATIENT,
+    READY,
     AdaptiveCurriculum,
     BalancedCurriculum,
     Curriculum,
@@ -204,6 +206,16 @@ def test_the_learning_rate_follows_the_divergence_of_the_updates():
     other = AdaptiveCurriculum()
     other.follow(1.0)
     assert other.pace == 1.0
+
+
+def test_the_learning_rate_falls_with_the_steps_of_a_run_alone_and_success_is_waited_for_long():
+    c = BalancedCurriculum(0.98)
+    c.level, c.full_at = 1.0, 200_000
+    later = [200_000 + k for k in (0, READY, PATIENT)]
+    assert [c.learning_rate_share(steps, None) for steps in later] == [1.0, 1.0, 1.0]
+    assert c.learning_rate_share(600_000, 1_000_000) == 0.5
+    assert [c.is_ready(steps) for steps in later] == [False, True, True]
+    assert [c.settled(steps) for steps in later] == [False, False, True]
 
 
 def test_averaged_weights_are_lent_and_taken_back():
