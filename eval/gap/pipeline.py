@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping, Sequence
 
 import numpy as np
@@ -9,29 +10,47 @@ from msgspec import structs
 from threadpoolctl import threadpool_limits
 
 from inclined_landing.eval.gap import thresholds
-from inclined_landing.eval.gap.answer.named import (
+from inclined_landing.eval.gap.answer.selection import (
+    LOOPS,
+    Displacement,
     corrected,
-    disturbances,
-    named_effects,
+    distinct_values,
+    fitted_to_others,
+    judged_by,
     open_loop_errors,
     regime_errors,
+    relevant_values,
+    squared_error_shares,
+    useful_values,
+)
+from inclined_landing.eval.gap.answer.sizes import (
+    WEIGHT,
+    disturbances,
+    estimates,
+    loop_pieces,
+    product,
+    response,
+    thrust_of_names,
     thrust_over_weight,
 )
-from inclined_landing.eval.gap.answer.selection import distinct_values, relevant_values, useful_values
 from inclined_landing.eval.gap.answer.touchdown import contact_answer
 from inclined_landing.eval.gap.flights.usable import check_unused, usable_flights
 from inclined_landing.eval.gap.infer.fit import estimate_noise
 from inclined_landing.eval.gap.infer.heterogeneity import inconsistent_flights, summary_line
 from inclined_landing.eval.gap.infer.residual import analyse_residual
-from inclined_landing.eval.gap.infer.sets import SetPosterior, search
+from inclined_landing.eval.gap.infer.sets import SetPosterior, equivalence_class, search
 from inclined_landing.eval.gap.model.columns import Candidates, Values
 from inclined_landing.eval.gap.model.problem import Problem, identifiable_effects
 from inclined_landing.eval.gap.model.reference import VehiclePosterior
-from inclined_landing.eval.gap.result import Diagnosis, ScoredSet, least_cost
+from inclined_landing.eval.gap.result import Diagnosis, NamedEffect, ScoredSet, least_cost
 from inclined_landing.eval.logs import FlightLog
+from inclined_landing.eval.logs.limits import LEAST_RATE
+from inclined_landing.models.base.errors import first_of
 from inclined_landing.models.effects import LIBRARY, Effect
 from inclined_landing.models.parameters import as_vehicle
 from inclined_landing.models.vehicle import Vehicle
+
+LOOP = "attitude_time_constant"  # whose remedy stands for all lags of the attitude loops
 
 
 @threadpool_limits.wrap(limits=1, user_api="blas")  # flights are shared among threads already
@@ -112,6 +131,104 @@ def diagnose(
         growth=ahead.growth,
         thrust_over_weight=thrust_over_weight(found, values),
     )
+
+
+def named_effects(
+    found: SetPosterior, values: Values, ahead: Mapping[str, Displacement], least: float
+) -> tuple[NamedEffect, ...]:
+    """Return the named effects with estimates, in the order of `values`.
+
+    ahead: what each does to the error one second ahead. least: the answer of `least_cost`.
+    """
+    problem, pieces = found.problem, loop_pieces(found.problem, values)
+    doubtful = {name for name in values if least > 0.0 and not ahead[name].cost > least}
+    sizes, gains = estimates(found, values), squared_error_shares(problem, values)
+    total = thrust_of_names(found, values)
+    cancel = total is not None and total[1][0] <= 1.0 <= total[1][1]
+    result: list[NamedEffect] = []
+    for name in (n for n in values if n not in pieces[1:]):
+        names = pieces if name in pieces else (name,)
+        classes = ((n, *equivalence_class(found, n), *_predicting_as_well(found, values, n)) for n in names)
+        members = tuple(dict.fromkeys(m for of_one in classes for m in of_one))
+        library, parts = problem.library, {}
+        if name in pieces:
+            parts = {n: dict(values[n]) for n in pieces}
+            sizes[name] = {"response": response(found, values, pieces)}
+        result.append(
+            NamedEffect(
+                name=name,
+                members=members,
+                probability=found.probability(*members),
+                parameters=sizes[name],
+                gain=max(gains[n] for n in names),
+                remedy=library[LOOP if parts else name].remedy,
+                cost=ahead[name].cost,
+                product=product(found, values, name) if library[name].product else None,
+                doubt=_doubt(problem, name, ahead[name].along, name in doubtful, cancel and name in WEIGHT)
+                or _doubt_next_to(library, name, [one.name for one in result]),
+                parts=parts,
+            )
+        )
+    return tuple(result)
+
+
+def _predicting_as_well(found: SetPosterior, values: Values, name: str) -> list[str]:
+    """Return the effects that predict flights left out as well as a nonlinear one does.
+
+    A load on a string is a mass where no swing shows.
+    """
+    effect = found.problem.library[name]
+    by = judged_by(effect, values[name])
+    if not by or all(p.linear for p in effect.parameters):
+        return []
+    others = [n for n in effect.confused_with if n in found.problem.library and n not in values]
+    sets = [frozenset(values) - {name} | {n} for n in (name, *others)]
+    here, *errors = (fitted_to_others(found, names).pose_errors[by] for names in sets)
+    return [n for n, error in zip(others, errors) if (error <= here).all()]
+
+
+def _doubt(problem: Problem, name: str, along: Mapping[str, float], doubtful: bool, cancelled: bool) -> str:
+    """Return a sentence on why an effect is not sure, whatever its probability; empty where it may be.
+
+    doubtful: the named effects leave too much. cancelled: it and others may cancel each other.
+    """
+    slow = [f.name for f in problem.flights if not f.shows_lags]
+    if slow and problem.library[name].is_lag:
+        which = f"Flights logged below {LEAST_RATE:g} Hz ({first_of(slow)})"
+        return f"{which} cannot separate lags: log at 50 Hz or more."
+    if "requests" in problem.library[name].channels and not problem.requested:
+        return (
+            "In doubt, because without the requests of the motors flights show a moment only while it is "
+            "taken over: log them (m1req to m4req)."
+        )
+    if doubtful:
+        return "In doubt, because the named effects leave more than noise and disturbances would."
+    if cancelled:
+        return "In doubt, because the named effects together may leave thrust over weight as modelled."
+    # Does it move the vehicle by less than the reference is wrong where it was right before?
+    worse = problem.reference.errors.worse if problem.reference and problem.reference.errors else {}
+    most = max(along, key=lambda axis: along[axis], default="")
+    for where, (before, after) in worse.items():
+        moved = math.hypot(*along.values()) if where == "position" else along.get(where, math.nan)
+        if where in ("position", most) and moved < after:
+            return (
+                f"In doubt, because the identified vehicle predicts {where} of its own flights worse than "
+                f"the vehicle before did ({100 * after:.1f} cm for {100 * before:.1f} cm one second ahead): "
+                "identify it again, from more flights that move there."
+            )
+    return ""
+
+
+def _doubt_next_to(library: Mapping[str, Effect], name: str, larger: Sequence[str]) -> str:
+    """Return a sentence on why a change of the loops is not sure next to larger names; empty where it may be.
+
+    No loop is quite of the modelled form: what is confused with a change makes up for the errors of its form.
+    """
+    loops = {n for n in (name, *larger) if LOOPS.issuperset(library[n].channels)}
+    for other in larger:
+        if {name, other} <= loops and other in library[name].confused_with:
+            return f"In doubt, because it may be a part of the {other.replace('_', ' ')}."
+    return ""
 
 
 # Flapping rotors, and the rear ones in the wake of the front ones, turn the vehicle by moments that no

@@ -18,7 +18,6 @@ from threadpoolctl import threadpool_limits
 
 from inclined_landing.eval.gap import thresholds
 from inclined_landing.eval.gap.answer import rollout
-from inclined_landing.eval.gap.answer.named import disturbances
 from inclined_landing.eval.gap.answer.posterior import (
     Identifiable,
     identifiability,
@@ -26,7 +25,8 @@ from inclined_landing.eval.gap.answer.posterior import (
     problem_about,
     with_library,
 )
-from inclined_landing.eval.gap.answer.selection import Refit, half_width
+from inclined_landing.eval.gap.answer.selection import Refit
+from inclined_landing.eval.gap.answer.sizes import disturbances, half_width
 from inclined_landing.eval.gap.flights.usable import UsableFlights, fingerprint, usable_flights
 from inclined_landing.eval.gap.flights.windows import REGIMES, MeasuredFlight
 from inclined_landing.eval.gap.infer.fit import (

@@ -1,20 +1,26 @@
-"""The selection of the named effects among the probable ones, by what they explain and predict."""
+"""Which of the probable effects are named, and how well the vehicle with them predicts flights not fitted."""
 
 from __future__ import annotations
 
 import dataclasses
 import math
-from collections import defaultdict
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence, Set
 from functools import cached_property
 
 import numpy as np
-from scipy.special import ndtri, stdtrit
 
 from inclined_landing.eval.gap import thresholds
-from inclined_landing.eval.gap.answer.rollout import RolloutWindows, errors_by_flight, pose_errors
-from inclined_landing.eval.gap.flights.windows import MeasuredFlight
-from inclined_landing.eval.gap.infer.fit import fit_least_squares
+from inclined_landing.eval.gap.answer import rollout
+from inclined_landing.eval.gap.answer.sizes import estimates, loop_pieces, response
+from inclined_landing.eval.gap.flights.windows import REGIMES, MeasuredFlight
+from inclined_landing.eval.gap.infer import residual
+from inclined_landing.eval.gap.infer.fit import (
+    field_half_widths,
+    fit_least_squares,
+    fit_vehicle,
+    leave_one_out_modes,
+    vehicles_a_half_width_away,
+)
 from inclined_landing.eval.gap.infer.gaussian import EffectSet, LinearGaussian
 from inclined_landing.eval.gap.infer.sets import (
     SetPosterior,
@@ -22,25 +28,15 @@ from inclined_landing.eval.gap.infer.sets import (
     leave_one_out,
     posterior_mode,
 )
-from inclined_landing.eval.gap.model.columns import (
-    Column,
-    FittedValues,
-    ParameterColumn,
-    Values,
-    at_an_end,
-    slab_deviations,
-)
-from inclined_landing.eval.gap.model.fitting import fitting
+from inclined_landing.eval.gap.model.columns import FittedValues, Values, slab_deviations
+from inclined_landing.eval.gap.model.prediction import channels_of
 from inclined_landing.eval.gap.model.problem import Problem
-from inclined_landing.eval.gap.result import HORIZON, Estimate
-from inclined_landing.models import forces
-from inclined_landing.models.attitude_loops import angle_steps
+from inclined_landing.eval.gap.result import HORIZON, ErrorGrowth, PlantGap, RegimeError
 from inclined_landing.models.base.errors import UserError
 from inclined_landing.models.effects import Effect
 from inclined_landing.models.vehicle import Vehicle
 
 LOOPS = frozenset(("attitude", "yaw"))  # channels of effects on the loops alone
-STEP_RESPONSE, STEP = 2.0, 0.001  # s, length and step of the simulated answer of an attitude loop
 
 
 @dataclasses.dataclass(frozen=True)
@@ -82,18 +78,18 @@ class Refit:
     def error_ahead(self) -> float:
         """Return the position error [m] one second ahead on flights left out; infinite if none is so long."""
         starts = self._windows_ahead()
-        return float(errors_by_flight(starts, self.vehicles)[-1]) if starts else math.inf
+        return float(rollout.errors_by_flight(starts, self.vehicles)[-1]) if starts else math.inf
 
     @cached_property
     def pose_errors(self) -> np.ndarray:
         """Return the errors (3,) of position [m], tilt and heading [rad] ahead, as above; NaN if none is."""
         starts = self._windows_ahead()
-        return pose_errors(starts, self.vehicles) if starts else np.full(3, math.nan)
+        return rollout.pose_errors(starts, self.vehicles) if starts else np.full(3, math.nan)
 
-    def _windows_ahead(self) -> RolloutWindows | None:
+    def _windows_ahead(self) -> rollout.RolloutWindows | None:
         """Return the windows of a second in which errors are measured; None where no stretch is so long."""
         try:
-            return RolloutWindows.of(self.problem.flights)
+            return rollout.RolloutWindows.of(self.problem.flights)
         except UserError:
             return None
 
@@ -265,143 +261,128 @@ def _squared_error_increase(problem: Problem, values: Values) -> dict[str, np.nd
     return {name: problem.squares_by_channel(rest[name]) - after for name in values}
 
 
-def estimates(found: SetPosterior, values: Values) -> dict[str, dict[str, Estimate]]:
-    """Return effect -> parameter -> its estimate, the other effects marginalised."""
-    problem = found.problem
-    sized = found.local.with_wide_slabs(frozenset(values)).estimates(values)
-    result: dict[str, dict[str, Estimate]] = {name: {} for name in values}
-    for name in values:
-        for p in problem.library[name].parameters:
-            value, (low, high) = values[name][p.name], p.bounds
-            known = sized.get((name, p.name))
-            if known is None:  # a reference: another one and another size do the same
-                nan = (math.nan,) * len(problem.flights)
-                result[name][p.name] = Estimate(
-                    value, p.unit, p.possible, p.neutral, p.bounds, False, nan, 0.0
-                )
-                continue
-            half = half_width(problem, known.error)
-            below, above = _extrapolated(value - p.neutral, half, fitting(name).extrapolated)
-            result[name][p.name] = Estimate(
-                value=value,
-                unit=p.unit,
-                ci95=(max(low, p.neutral + below), min(high, p.neutral + above)),
-                neutral=p.neutral,
-                bounds=p.bounds,
-                at_bound=thresholds.at_bound(value, p.bounds),
-                per_flight=tuple(map(float, value + known.deviation)),
-                spread=known.between,
-            )
-    return result
+def corrected(found: SetPosterior, values: FittedValues) -> Refit:
+    """Return the correction by the named effects at `values`.
 
-
-def half_width(problem: Problem, error: float) -> float:
-    """Return the half-width of the 95 % interval of a quantity with this standard error (Student t)."""
-    return float(stdtrit(max(1, problem.groups - 1), 0.975) * error)
-
-
-def _extrapolated(size: float, half: float, share: float) -> tuple[float, float]:
-    """Return the interval of a size with a half-width, where the constant it acts by is uncertain by a share.
-
-    That constant is above zero, so that an interval that excludes zero still does.
+    All effects of an identified vehicle are estimated again where that predicts flights left out better.
     """
-    ends = size - half, size + half
-    if not (share and size):
-        return ends
-    # log |x| ~ N(log |size|, s^2 + share^2), s from each end in turn
-    result = []
-    for end in ends:
-        ratio = end / size
-        if ratio > 0.0:
-            distance = math.hypot(math.log(ratio), ndtri(0.975) * share)
-            end = size * math.exp(math.copysign(distance, ratio - 1.0))
-        result.append(end)
-    return result[0], result[1]
+    problem, names, named = found.problem, frozenset(values), Refit.of(found, values)
+    if not (problem.identified and values):
+        return named
+    again, local = fit_vehicle(problem, found.spread, values, names)
+    moved = vehicles_a_half_width_away(problem, local, names, again)
+    widths = field_half_widths(problem.vehicle, problem.corrected(again), moved)
+    whole = Refit(problem, again, leave_one_out_modes(problem, local, names), widths)
+    return min(named, whole, key=Refit.error_ahead)
 
 
-def loop_pieces(problem: Problem, values: Values) -> tuple[str, ...]:
-    """Return the named lags of the attitude loops if there are several, first the largest in plausible sizes.
-
-    They are pieces of one change: no loop quite follows the formula of one of them, so that the flights show
-    how quickly the loops answer, but not which piece makes them do so.
-    """
-
-    def size(name: str) -> float:
-        of = problem.library[name].parameters
-        return max(abs(p.coordinate(values[name][p.name]) / p.coordinate(p.plausible)) for p in of)
-
-    lags = [n for n in values if problem.library[n].is_lag]
-    own = [n for n in lags if {"attitude", "translation"} & set(problem.library[n].channels) == {"attitude"}]
-    return tuple(sorted(own, key=size, reverse=True)) if len(own) > 1 else ()
-
-
-def response(found: SetPosterior, values: Values, pieces: Sequence[str]) -> Estimate:
-    """Return when the attitude loops with these pieces answer to a step of their command."""
-    vehicle = found.problem.vehicle
-
-    def response(at: Values) -> float:
-        return step_response_time(found.problem.corrected({n: at[n] for n in pieces}))
-
-    value, (low, high) = jointly(found, values, pieces, response)
-    ends, bounds = (max(0.0, low), high), (0.0, STEP_RESPONSE)
-    return Estimate(value, "s", ends, step_response_time(vehicle), bounds, False, (), 0.0)
+def regime_errors(correction: Refit, heldout: Sequence[MeasuredFlight]) -> tuple[RegimeError, ...]:
+    """Return the root mean square errors by regime and channel, before and after, on flights not fitted."""
+    problem, (_, after) = correction.problem, correction.judged(heldout)
+    if heldout:
+        test = Problem.of(heldout, problem.vehicle, {})
+        problem = test.whitened(problem.noise_model, correction.vehicle)
+    before = problem.white_errors([problem.vehicle] * len(after))
+    first, variance = residual.equivalent_sizes(problem, before)
+    second, _ = residual.equivalent_sizes(problem, problem.white_errors(after))
+    regimes = np.concatenate([f.regimes for f in problem.flights])
+    rows = []
+    for name, member in [("all", np.ones(len(regimes), bool)), *zip(REGIMES, regimes.T)]:
+        for k, channel in enumerate(channels_of(problem)):
+            w = member & (problem.logged[:, k] > 0.0)
+            if w.any():
+                worse, better = (float(np.sqrt((x[w, k] ** 2).mean())) for x in (first, second))
+                floor = float(np.sqrt(variance[w, k].mean()))
+                unit = residual.UNITS[channel]
+                rows.append(RegimeError(name, channel, worse, better, floor, unit, int(w.sum())))
+    return tuple(rows)
 
 
-def step_response_time(vehicle: Vehicle) -> float:
-    """Return when [s] roll is at 63 % of its steady angle after a step of its command, delay included."""
-    packed, command = forces.pack(vehicle), np.full(round(STEP_RESPONSE / STEP), 0.1)
-    angle = angle_steps(0, command, np.zeros(len(command)), 0.0, STEP, packed)
-    steady = vehicle.attitude_gain * (command[0] + vehicle.effects_attitude_trim[0])
-    reached = np.maximum.accumulate(angle / steady) >= 1.0 - math.exp(-1.0)
-    k = int(np.argmax(reached)) if reached.any() else len(command)
-    before = max(k - 1, 0)
-    share = ((1.0 - math.exp(-1.0)) * steady - angle[before]) / max(angle[k] - angle[before], 1e-12)
-    return vehicle.effects_attitude_delay + STEP * (before + float(share))
+@dataclasses.dataclass(frozen=True)
+class Displacement:
+    """The change of the position one second ahead by a named effect."""
+
+    cost: float = math.nan  # m, the error that it accounts for; NaN: not known
+    along: Mapping[str, float] = dataclasses.field(default_factory=dict)  # axis -> m, root mean square
 
 
-def jointly(
-    found: SetPosterior, values: Values, names: Sequence[str], of: Callable[[Values], float]
-) -> tuple[float, tuple[float, float]]:
-    """Return a quantity of some of the effects in `values`, the others marginalised, and its interval."""
-    local = found.local.with_wide_slabs(frozenset(values))
-    own = size_columns(found.problem, local, names)
-    covariance = local.change(frozenset(values))[1] * np.outer(local.unit, local.unit)
-    columns = [local.columns[k] for k in own]
-    return propagated(found.problem, values, columns, covariance[np.ix_(own, own)], of)
+@dataclasses.dataclass(frozen=True)
+class OpenLoopErrors:
+    """Open-loop predictions of the flights, with and without the effects; empty where none can be made."""
+
+    error: float = math.nan  # m, of the position after the longest horizon, corrected
+    named: dict[str, Displacement] = dataclasses.field(default_factory=dict)  # what each of these does
+    gap: dict[str, PlantGap] = dataclasses.field(default_factory=dict)  # by plant, of the equations first
+    displacements: dict[str, float] = dataclasses.field(default_factory=dict)  # see Diagnosis
+    growth: ErrorGrowth | None = None
+    notes: tuple[str, ...] = ()
 
 
-def size_columns(problem: Problem, local: LinearGaussian, names: Sequence[str]) -> list[int]:
-    """Return the indices of the columns of effects' parameters, without those that these are relative to."""
-    own = ((k, local.columns[k]) for k in local.index(names))
-    return [k for k, c in own if isinstance(c, ParameterColumn) and not problem.parameter(c).is_reference]
-
-
-def propagated(
-    problem: Problem,
+def open_loop_errors(
+    found: SetPosterior,
+    correction: Refit,
+    heldout: Sequence[MeasuredFlight],
     values: Values,
-    columns: Sequence[Column],
-    covariance: np.ndarray,
-    of: Callable[[Values], float],
-) -> tuple[float, tuple[float, float]]:
-    """Return a quantity of `values` and its 95 % interval, from the covariance along some columns."""
-    # Propagation of errors: var = g' C g, slopes g over a tenth of a standard error
-    at, step = problem.coordinates(values, columns), 0.1 * np.sqrt(covariance.diagonal())
+    plants: Sequence[str],
+) -> OpenLoopErrors:
+    """Return the open-loop predictions of flights that were not fitted; values: of the named effects."""
+    problem, (flights, after) = found.problem, correction.judged(heldout)
+    try:
+        starts = rollout.RolloutWindows.of(flights)
+    except UserError as why:
+        unknown = dict.fromkeys(values, Displacement())
+        return OpenLoopErrors(named=unknown, notes=(f"the gap after one second was not measured: {why}",))
+    floor = rollout.noise_floor(starts, correction.vehicle)
+    error = float(rollout.errors_by_flight(starts, after)[-1])
+    pieces = loop_pieces(problem, values)
+    named = {n: _displacement(problem, starts, values, pieces if n in pieces else (n,)) for n in values}
+    vehicles = correction.vehicle if heldout else after
+    gap, notes = {}, []
+    for plant in dict.fromkeys(("analytic", *plants)):
+        try:
+            gap[plant] = rollout.plant_gap(starts, problem.vehicle, vehicles, plant, floor)
+        except UserError as why:  # as loops that are too fast for the engine's step
+            notes.append(f"the gap was not measured in {plant}: {why}")
+    classes = {member for name in values for member in equivalence_class(found, name)}
+    moved = _displacements(found, starts, classes)
+    growth = _growth(problem, starts, values, vehicles, floor, correction.half_widths is not None)
+    return OpenLoopErrors(error, named, gap, moved, growth, tuple(notes))
 
-    def moved(coordinates: np.ndarray) -> float:
-        there, ends = {n: dict(v) for n, v in values.items()}, defaultdict(list)
-        for c, x in zip(columns, coordinates):
-            if at_an_end(c):
-                ends[c.effect].append(x)
-            else:
-                there[c.effect][c.key[1]] = problem.parameter(c).value_at(x)
-        for name, sizes in ends.items():
-            effect = problem.library[name]
-            first, (size, about) = effect.parameters[0], effect.from_ends(*sizes)
-            there[name] |= {first.name: first.neutral + size}
-            there[name] |= {p.name: about for p in effect.parameters if p is effect.reference}
-        return of(there)
 
-    here = of(values)
-    slope = np.array([(moved(at + one) - here) / x for one, x in zip(np.diag(step), step)])
-    half = half_width(problem, np.sqrt(slope @ covariance @ slope))
-    return here, (here - half, here + half)
+def _growth(problem: Problem, starts, values: Values, corrected, floor, others: bool) -> ErrorGrowth:
+    """Return the errors with the effects of `values` added in turn; the last are of the corrected vehicle.
+
+    others: the constants of the identified vehicle change as well.
+    """
+    vehicles, names = {"": problem.vehicle}, list(values)
+    for k, name in enumerate(names, 1):
+        vehicles[name] = problem.corrected({name: values[name] for name in names[:k]})
+    if others:
+        names.append("all others")
+    if names:
+        vehicles[names[-1]] = corrected
+    errors = {name: rollout.errors_by_flight(starts, vehicle) for name, vehicle in vehicles.items()}
+    return ErrorGrowth(np.arange(1, starts.rows + 1) * starts.dt, errors, floor)
+
+
+def _displacement(problem: Problem, starts, values: Values, names: Sequence[str]) -> Displacement:
+    """Return the error after one second that effects account for, and how far they move the vehicle."""
+    # cost^2 = e_without^2 - e_with^2
+    measured, rest = starts.measured(), {n: v for n, v in values.items() if n not in names}
+    without, whole = (rollout.simulate(starts, problem.corrected(v)) for v in (rest, values))
+    worse, better = (rollout.position_error(pose, measured)[-1] for pose in (without, whole))
+    moved = np.sqrt(((whole - without)[:, -1, :3] ** 2).mean(axis=0))
+    return Displacement(float(np.sqrt(max(0.0, worse**2 - better**2))), dict(zip("xyz", map(float, moved))))
+
+
+def _displacements(found: SetPosterior, starts: rollout.RolloutWindows, named: Set[str]) -> dict[str, float]:
+    """Return possible effect -> displacement [m] within a second by its size in the best set with it."""
+    problem = found.problem
+    plain, result = rollout.simulate(starts, problem.vehicle), {}
+    for name in problem.library:
+        if name in named or found.probability(name) < thresholds.POSSIBLE:
+            continue
+        best = max((one for one in found.sets if name in one.names), key=lambda one: one.probability)
+        moved = rollout.simulate(starts, problem.corrected({name: best.values[name]}))
+        result[name] = float(rollout.position_error(moved, plain)[-1])
+    return result

@@ -10,8 +10,7 @@ import pytest
 from scipy import stats
 
 from inclined_landing.eval.gap import diagnose, gap_example, measure_gap, pipeline
-from inclined_landing.eval.gap.answer import named as naming
-from inclined_landing.eval.gap.answer import selection
+from inclined_landing.eval.gap.answer import selection, sizes
 from inclined_landing.eval.gap.answer.identification import identify
 from inclined_landing.eval.gap.flights.usable import usable_flights
 from inclined_landing.eval.gap.flights.windows import _on_ground, measurement_noise, prepare, prepare_all
@@ -190,13 +189,13 @@ def test_a_speed_of_wind_is_known_no_better_than_drag_at_other_speeds():
     local = SimpleNamespace(estimates=lambda _: dict.fromkeys(keys, known))
     local.with_wide_slabs = lambda _: local
     found = SimpleNamespace(problem=SimpleNamespace(groups=8, library=LIBRARY, flights=[None]), local=local)
-    sized = selection.estimates(found, values)
+    sized = sizes.estimates(found, values)
     flown, factor = stats.t.ppf(0.975, 7) * 0.1, 1.96 * 0.3
     low, high = (3.0 * np.exp(s * np.hypot(np.log(1.0 + s * flown / 3.0), factor)) for s in (-1, 1))
     assert sized["wind"]["x"].ci95 == pytest.approx((low, high), rel=1e-4)
     assert sized["wind"]["y"].ci95 == pytest.approx((-flown, flown))
     assert sized["mass"]["scale"].ci95 == pytest.approx((1.2 - flown, 1.2 + flown))
-    ends = selection._extrapolated(-3.0, 4.0, 0.3)  # it may be zero: so it may
+    ends = sizes._extrapolated(-3.0, 4.0, 0.3)  # it may be zero: so it may
     assert ends == pytest.approx((-3.0 * np.exp(np.hypot(np.log(7.0 / 3.0), factor)), 1.0), rel=1e-4)
 
 
@@ -237,11 +236,11 @@ def test_thrust_over_weight_is_known_no_better_than_the_references(monkeypatch):
     half = stats.t.ppf(0.975, problem.groups - 1) * 0.01 / (VEHICLE.thrust_per_pwm * usual)
     for width, widened in ((0.001, 0.9 * half), (1.1 * half, 1.1 * half)):
         answer = 0.9, (0.9 - width, 0.9 + width)
-        monkeypatch.setattr(naming, "thrust_of_names", lambda found, values, answer=answer: answer)
-        value, (low, high) = naming.thrust_over_weight(SimpleNamespace(problem=problem), {})
+        monkeypatch.setattr(sizes, "thrust_of_names", lambda found, values, answer=answer: answer)
+        value, (low, high) = sizes.thrust_over_weight(SimpleNamespace(problem=problem), {})
         assert value == 0.9 and (high - low) / 2.0 == pytest.approx(widened, rel=1e-6)
         alone = SimpleNamespace(problem=dataclasses.replace(problem, reference=None))
-        assert naming.thrust_over_weight(alone, {}) == answer
+        assert sizes.thrust_over_weight(alone, {}) == answer
 
 
 def test_what_the_reference_left_uncertain_is_estimated_again():

@@ -12,11 +12,10 @@ import numpy as np
 import pytest
 from msgspec import ValidationError
 
-from inclined_landing.eval.gap.answer import named as naming
+from inclined_landing.eval.gap import pipeline
 from inclined_landing.eval.gap.answer import rollout, selection
 from inclined_landing.eval.gap.answer.identification import _Fit, _idle_references, worse_axes
-from inclined_landing.eval.gap.answer.named import _doubt
-from inclined_landing.eval.gap.answer.selection import loop_pieces, step_response_time
+from inclined_landing.eval.gap.answer.sizes import loop_pieces, step_response_time
 from inclined_landing.eval.gap.model.columns import Candidates
 from inclined_landing.eval.gap.model.reference import VehiclePosterior
 from inclined_landing.eval.gap.plan.reading import PlanInput
@@ -254,7 +253,7 @@ def test_a_name_is_doubted_where_the_reference_is_wrong_by_more_than_it_moves():
         errors = dataclasses.replace(ALIKE, worse=worse)
         reference = SimpleNamespace(errors=errors)
         problem = SimpleNamespace(flights=flights, reference=reference, library=LIBRARY, requested=requested)
-        return _doubt(problem, name, along, doubtful, cancelled)
+        return pipeline._doubt(problem, name, along, doubtful, cancelled)
 
     along = {"x": 0.05, "y": 0.01, "z": 0.0}
     assert not doubt(along) and not doubt(along, y=(0.01, 0.03)) and not doubt(along, x=(0.01, 0.03))
@@ -284,11 +283,11 @@ def test_a_load_may_be_a_mass_where_no_swing_shows(monkeypatch):
     def refit(found, names):
         return SimpleNamespace(pose_errors=np.array([errors[n] for n in names]))
 
-    monkeypatch.setattr(naming, "fitted_to_others", refit)
+    monkeypatch.setattr(pipeline, "fitted_to_others", refit)
     library = {n: LIBRARY[n] for n in errors}
     found, values = SimpleNamespace(problem=SimpleNamespace(library=library)), {"mass": 0.004, "length": 0.5}
-    assert naming._predicting_as_well(found, {"slung_load": values}, "slung_load") == ["mass"]
-    assert naming._predicting_as_well(found, {"mass": {"scale": 1.1}}, "mass") == []
+    assert pipeline._predicting_as_well(found, {"slung_load": values}, "slung_load") == ["mass"]
+    assert pipeline._predicting_as_well(found, {"mass": {"scale": 1.1}}, "mass") == []
     load = dataclasses.replace(named("slung_load", values), members=("slung_load", "mass", "wind"))
     text = words.confounding_sentence(example("nothing"), load)
     assert "mass (which predicts as well) or wind (10 %): these flights cannot" in text
