@@ -78,7 +78,7 @@ class Estimate:
 
     @property
     def firm(self) -> bool:
-        """Return whether it differs from neutral, and not by as much as there can be."""
+        """Return whether it differs from neutral and does not lie at a bound."""
         return self.differs and not self.at_bound
 
 

@@ -215,7 +215,10 @@ class _Fit:
         return _Fit(problem, values, local, refit.vehicle, fit, ahead, worse)
 
     def is_better_than(self, other: _Fit) -> bool:
-        """Return whether the errors of `worse` grew by less, and the position error left out not by WORSE."""
+        """Return whether the errors in `worse` grow by less than those of another fit.
+
+        The position error on flights left out must not be larger by WORSE either.
+        """
         grown = [sum(after**2 - before**2 for before, after in x.worse.values()) for x in (self, other)]
         further = self.ahead["after"] > (1.0 + thresholds.WORSE) * other.ahead["after"]
         return grown[0] < grown[1] and not further
@@ -236,7 +239,10 @@ class _Fit:
         )
 
     def acting_on_worse(self) -> frozenset[str]:
-        """Return the effects that change most an axis that is worse; any channel for the position."""
+        """Return the effects that act most on an axis that is predicted worse.
+
+        Where the position is, they are those that act most on any of x, y, z, roll and pitch.
+        """
         channels = [CHANNELS.index(axis) for axis in self.worse if axis in CHANNELS]
         if not channels:
             channels = list(range(5)) if self.worse else []

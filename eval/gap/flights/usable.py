@@ -182,7 +182,7 @@ def _crash(log: FlightLog, vehicle: Vehicle) -> str:
 
 
 def _strange_touch(log: FlightLog, vehicle: Vehicle, platform: bool) -> str:
-    """Return how far from every surface of the model a vehicle touches something; empty where it is none."""
+    """Return where a vehicle touches what the model does not have, a sentence; empty where it does not."""
     if log.contact is None:
         return ""
     for k in np.flatnonzero(np.diff(log.contact.astype(int)) == 1) + 1:
@@ -225,7 +225,7 @@ def check_unused(logs: Iterable[FlightLog], used: Mapping[str, Sequence[int]], w
 def distinct(
     flights: Sequence[FlightLog], heldout: Sequence[FlightLog]
 ) -> tuple[list[FlightLog], list[FlightLog], tuple[SetAside, ...], tuple[str, ...]]:
-    """Return flights without what an earlier one contains, held-out ones too; those left out, and notes.
+    """Return flights and held-out flights without the rows of an earlier one; those left out, and notes.
 
     Raises UserError for a held-out flight that is fitted.
     """

@@ -142,7 +142,7 @@ class MeasuredFlight:
         return dataclasses.replace(self, requests=dataclasses.replace(self.requests, slope=slope))
 
     def attitude_of(self, vehicle: Vehicle) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-        """Return mid-step attitudes, their rotations, and the first attitude, as the rotors were.
+        """Return the rotors' attitudes in the middle of every step, their rotations, and the first attitude.
 
         A tilt and a delay of the measured attitude beyond that of the position are taken off.
         """
@@ -215,7 +215,7 @@ def remove_tilt(attitude: np.ndarray, tilt: tuple[float, float]) -> np.ndarray:
 
 
 def prepare(log: FlightLog, vehicle: Vehicle, *, platform: bool = False) -> MeasuredFlight:
-    """Return a `MeasuredFlight` flight from a log: the whitening's attitude modes are those of `vehicle`.
+    """Return a log as a `MeasuredFlight`, whitened with the attitude modes of `vehicle`.
 
     platform: the slab of the vehicle file stands there (for the ground effect); else the floor only.
     Raises UserError, naming the flight, when there is too little to use.

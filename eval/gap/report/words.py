@@ -53,7 +53,7 @@ def with_probabilities(parts: Mapping[str, float], last: str = "or") -> str:
 
 
 def value(p: Estimate) -> str:
-    """Return the size of a parameter as all of the report shows it."""
+    """Return the size of a parameter as every part of the report shows it."""
     return rounded(p.value, p.ci95, p.unit)
 
 
@@ -120,7 +120,7 @@ def sentence(effect: NamedEffect) -> str:
 
 
 def _shown(p: Estimate, firm: bool) -> str:
-    """Return a size in a sentence; firm: another of the effect differs from neutral, and this may not."""
+    """Return a size in a sentence; firm: another size differs from neutral, so that one that may not is 0."""
     return f"about {quantity(0.0, p.unit)}" if firm and p.neutral == 0.0 and not p.differs else value(p)
 
 
@@ -134,7 +134,7 @@ _NEGATIVE = {
 
 
 def said(name: str, numbers: Mapping[str, tuple[float, str]]) -> str:
-    """Return what an effect says with its numbers, each with its text; one below zero in the other sense."""
+    """Return an effect's sentence with its numbers, each with its text; a negative one reverses the sense."""
     text, texts = LIBRARY[name].says, {key: text for key, (_, text) in numbers.items()}
     (key, (number, own)), *others = numbers.items()
     known = [(usual, other) for usual, other in _NEGATIVE.items() if usual in text]
@@ -144,7 +144,7 @@ def said(name: str, numbers: Mapping[str, tuple[float, str]]) -> str:
 
 
 def remedy(effect: NamedEffect) -> str:
-    """Return what a person can do about a named effect; of a size that cannot be, look again."""
+    """Return what a person can do about a named effect; where its size cannot be, where else to look."""
     if all(p.at_bound for p in effect.sizes):
         return "At the bound of its range, it stands for another cause: landing-eval plan designs a flight."
     less = [p for p in LIBRARY[effect.name].parameters if p.one_signed and p.name in effect.parameters]
