@@ -130,8 +130,12 @@ DEFAULTS: dict[str, Training] = _columns()
 def in_case(training: Training, usual: str, case: str) -> Training:
     """Return a task's training with the values in which the column `case` differs from `usual`, the task's.
 
-    A custom task that derives from a shipped one may have its own training.
+    A custom task that derives from a shipped one may have its own training; the values that it states stay.
     """
-    before, values = vars(DEFAULTS[usual]), vars(DEFAULTS[case])
-    changes = {name: value for name, value in values.items() if value != before[name]}
+    before, values, plain = vars(DEFAULTS[usual]), vars(DEFAULTS[case]), vars(Training())
+    changes = {
+        name: value
+        for name, value in values.items()
+        if value != before[name] and getattr(training, name) in (before[name], plain[name])
+    }
     return dataclasses.replace(training, **changes)

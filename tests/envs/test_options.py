@@ -61,6 +61,20 @@ def test_training_has_the_values_of_its_column(case):
         assert (str(found) if name == "randomise" and found else found) == expected[name], name
 
 
+def test_a_custom_task_keeps_the_values_that_it_states(tmp_path):
+    file = tmp_path / "mine.py"
+    file.write_text(
+        "from inclined_landing.envs.tasks import InclinedLanding, Training\n"
+        "class Mine(InclinedLanding):\n"
+        "    name = 'mine'\n"
+        "    training = Training(steps=5000, environments=32, history=1, curriculum='fixed')\n"
+    )
+    resolved = TrainConfig(f"{file}:Mine").resolved()
+    names = ("environments", "history", "curriculum", "rollout", "gae_lambda", "pwm_span", "evaluate_every")
+    assert [getattr(resolved, name) for name in names] == [32, 1, "fixed", 32, 0.85, 25_000.0, 32]
+    assert str(resolved.randomise) == "robust"
+
+
 def test_a_field_more_is_an_option_more():
     @dataclasses.dataclass(frozen=True)
     class Options(InclinedLanding.options_type):
