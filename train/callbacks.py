@@ -46,6 +46,13 @@ class TimeSpent:
         return {"training_seconds": self.spent["training"], "cpu_seconds": self.cpu}
 
 
+class _BetweenRollouts(BaseCallback):
+    """A callback with nothing to do in a single step."""
+
+    def _on_step(self) -> bool:
+        return True
+
+
 class CurriculumCallback(BaseCallback):
     """Feeds finished episodes to the curriculum and applies its conditions once per rollout."""
 
@@ -89,7 +96,7 @@ class CurriculumCallback(BaseCallback):
         self.model.lr_schedule = lambda _: rate
 
 
-class LearningCurve(BaseCallback):
+class LearningCurve(_BetweenRollouts):
     """Appends one row per iteration to `rows`, for learning.csv; refuses weights that are not finite."""
 
     def __init__(self, rows: list[dict], curriculum: Curriculum, clock: TimeSpent):
@@ -110,9 +117,6 @@ class LearningCurve(BaseCallback):
                 "lower --learning-rate, --reward-scale or --log-std-init"
             )
 
-    def _on_step(self) -> bool:
-        return True
-
     def _on_rollout_end(self) -> None:
         finished = self.model.ep_info_buffer or []
         mean = {k: float(np.mean([e[k] for e in finished])) if finished else np.nan for k in "rl"}
@@ -128,7 +132,7 @@ class LearningCurve(BaseCallback):
         )
 
 
-class Averaging(BaseCallback):
+class Averaging(_BetweenRollouts):
     """Keeps moving averages of the network's weights over the updates in `averages`; none if `weight` is 0.
 
     weight: weight of the averages before in the new ones. These are taken at the end of a rollout, because
@@ -138,9 +142,6 @@ class Averaging(BaseCallback):
     def __init__(self, averages: dict[str, torch.Tensor], weight: float):
         super().__init__()
         self.averages, self.weight = averages, weight
-
-    def _on_step(self) -> bool:
-        return True
 
     def _on_rollout_end(self) -> None:
         for name, tensor in self.model.policy.named_parameters() if self.weight else ():
@@ -161,7 +162,7 @@ def with_weights(policy: torch.nn.Module, weights: dict[str, torch.Tensor]) -> I
             policy.get_parameter(name).detach().copy_(tensor)
 
 
-class CriticFirst(BaseCallback):
+class CriticFirst(_BetweenRollouts):
     """Freezes the actor until `steps` environment steps, so that a new critic does not spoil a good actor."""
 
     def __init__(self, steps: int):
@@ -173,9 +174,6 @@ class CriticFirst(BaseCallback):
         for name, parameter in self.model.policy.named_parameters():
             if any(part in name for part in ("policy_net", "action_net", "log_std")):
                 parameter.requires_grad_(learns)
-
-    def _on_step(self) -> bool:
-        return True
 
 
 class Every(BaseCallback):
@@ -199,16 +197,13 @@ class Every(BaseCallback):
         return not self.stop
 
 
-class ProgressCallback(BaseCallback):
+class ProgressCallback(_BetweenRollouts):
     """Shows the number of environment steps, with the curriculum's level and `notice`, by `tick`."""
 
     def __init__(self, tick: Tick, total_steps: int, curriculum: Curriculum):
         super().__init__()
         self.tick, self.total, self.curriculum = tick, total_steps, curriculum
         self.notice = ""
-
-    def _on_step(self) -> bool:
-        return True
 
     def _on_rollout_end(self) -> None:
         done = min(self.num_timesteps, self.total)
