@@ -1,13 +1,16 @@
-"""`landing-eval benchmark`: the speed of steps, actions and training on this machine."""
+"""`landing-eval benchmark`: the speed of steps, actions, training and first use on this machine."""
 
 from __future__ import annotations
 
 import os
+import resource
 import subprocess
 import sys
 import tempfile
 import time
+from collections.abc import Mapping
 from pathlib import Path
+from types import MappingProxyType
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -30,6 +33,18 @@ _PLANTS = {
     "hybrid implicitfast": ("hybrid", {"integrator": "implicitfast"}),
     "analytic": ("analytic", {}),
 }
+# Options of the landing task and of its hybrid plant, with which platforms can move.
+_PLATFORMS: dict[str, dict[str, Any]] = {
+    "at rest": {"fastest": 0.0},
+    "moving": {"fastest": 1.0, "swell": 1.0},
+}
+# What a new user runs first; the plant is the program's argument.
+_FIRST_USE = """
+import sys, gymnasium, inclined_landing
+environment = gymnasium.make("InclinedLanding-v0", plant=sys.argv[1])
+environment.reset(seed=0)
+environment.step(environment.action_space.sample())
+"""
 _BLOCK, _REPEATS = 15, 10  # control steps that are timed together, and how often
 _ACTIONS = 2000  # number of actions that are timed one by one
 _TRAINING_STEPS = 100_000
@@ -41,7 +56,7 @@ def middle(values: np.ndarray) -> dict[str, Any]:
     return found | {"low": found["min"], "high": found["max"]}
 
 
-RATE, ACTION, TRAINING = (
+RATE, CPU, ACTION, TRAINING, FIRST = (
     Measure(
         name=name,
         title=title,
@@ -52,8 +67,10 @@ RATE, ACTION, TRAINING = (
     )
     for name, title, unit, digits in (
         ("steps_per_second", "steps per second, with task, reward and resets", "1/s", 0),
+        ("step_cpu_us", "CPU microseconds per step", "us", 1),
         ("action_us", "microseconds for an action", "us", 1),
         ("training_steps_per_second", "steps per second of training", "1/s", 0),
+        ("first_use_cpu_s", "CPU seconds of the first use", "s", 1),
     )
 )
 
@@ -64,7 +81,10 @@ def command(
     json: Flag = False,
     out: NewFolder = None,
 ) -> None:
-    """Measure the speed of steps, actions and training on this machine (about a minute).
+    """Measure the speed of steps, actions, training and first use on this machine (one to two minutes).
+
+    The first use makes an environment and does one step; numba compiles what it needs. Compiled functions
+    are kept, so that later uses take a second or two.
 
     Args:
         seed: seed for actions and training.
@@ -78,10 +98,14 @@ def command(
     from inclined_landing.eval.study.show import hand_over
 
     before = os.getloadavg()[0]
+    platforms = {name: _environment("hybrid", seed, dimensions=3, **x) for name, x in _PLATFORMS.items()}
+    plants = {name: _environment(kind, seed, x) for name, (kind, x) in _PLANTS.items()}
     measured = [
-        *({"plant": name, RATE.name: x} for name, rates in step_rates(_REPEATS, seed).items() for x in rates),
+        *({"plant": name} | times for name, times in step_times(plants, _REPEATS, seed)),
+        *({"platforms": name} | times for name, times in step_times(platforms, _REPEATS, seed)),
         *({ACTION.name: x} for x in action_times(load_policy("landing"), _ACTIONS, seed)),
         {TRAINING.name: training_rate(_TRAINING_STEPS, seed)},
+        *({"first use": kind, FIRST.name: first_use(kind)} for kind in ("mujoco", "hybrid")),
     ]
     loads = {"before": before, "after": os.getloadavg()[0]}
     study = engine.Study(
@@ -89,7 +113,9 @@ def command(
         title=f"Speed on this machine, {VEHICLES} vehicles",
         cases=(),
         views=[
-            engine.View(("plant",), (RATE,), "control steps, by plant", across=True),
+            engine.View(("plant",), (RATE, CPU), "control steps, by plant", across=True),
+            engine.View(("platforms",), (CPU,), "hybrid plant in space, by its platforms", across=True),
+            engine.View(("first use",), (FIRST,), "first use, by plant", across=True),
             engine.View((), (ACTION, TRAINING), "actions and training", across=True),
         ],
         remarks=_remarks,
@@ -99,35 +125,43 @@ def command(
     hand_over("benchmark", [engine.count(study, pd.DataFrame(measured))], json=json, out=out)
 
 
-def step_rates(repeats: int, seed: int) -> dict[str, list[float]]:
-    """Return control steps per second of 256 vehicles under random actions, for each plant.
-
-    A step is one of `BatchVecEnv`, including task, reward, resets and episode statistics. The plants are
-    measured alternately, so that other load on the machine affects all of them.
-    """
+def _environment(kind: str, seed: int, plant_options: Mapping = MappingProxyType({}), **options: Any):
+    """Return a landing environment with VEHICLES in a plant of this kind, in the middle of its episodes."""
     from inclined_landing.envs.batch import BatchEnv
     from inclined_landing.envs.sb3 import BatchVecEnv
     from inclined_landing.envs.tasks import make_task
     from inclined_landing.models.plants import make_plant
 
-    rng = np.random.default_rng(seed)
-    task = make_task("landing", pwm_centre="hover")
-    environments: dict[str, BatchVecEnv] = {}
-    rates: dict[str, list[float]] = {label: [] for label in _PLANTS}
-    for label, (kind, options) in _PLANTS.items():
-        batch = BatchEnv(task, make_plant(kind, VEHICLES, task.vehicle, **options), seed)
-        environments[label] = BatchVecEnv(batch)
-        environments[label].reset()
-        batch.length[:] = rng.integers(0, task.max_steps, VEHICLES)  # so that resets spread evenly
+    task = make_task("landing", pwm_centre="hover", **options)
+    plant = make_plant(kind, VEHICLES, task.vehicle, **plant_options, **task.plant_options)
+    environment = BatchVecEnv(BatchEnv(task, plant, seed))
+    environment.reset()
+    # Resets are spread evenly.
+    environment.env.length[:] = np.random.default_rng(seed).integers(0, task.max_steps, VEHICLES)
+    return environment
+
+
+def step_times(
+    environments: Mapping[str, BatchVecEnv], repeats: int, seed: int
+) -> list[tuple[str, dict[str, float]]]:
+    """Return RATE and CPU of blocks of control steps under random actions, each with its environment's name.
+
+    A step is one of `BatchVecEnv`, including task, reward, resets and episode statistics. The environments
+    are measured alternately, so that other load on the machine affects all of them.
+    """
+    found = []
     for repeat in range(repeats + 2):
-        actions = rng.uniform(-1, 1, (_BLOCK, VEHICLES, len(task.action_names)))
-        for label, environment in environments.items():
-            began = time.perf_counter()
+        for name, environment in environments.items():
+            rng = np.random.default_rng((seed, repeat))  # the same actions in all
+            actions = rng.uniform(-1, 1, (_BLOCK, VEHICLES, *environment.action_space.shape))
+            began, used = time.perf_counter(), time.process_time()
             for action in actions:
                 environment.step(action)
+            steps, seconds = _BLOCK * VEHICLES, time.perf_counter() - began
+            times = {RATE.name: steps / seconds, CPU.name: 1e6 * (time.process_time() - used) / steps}
             if repeat >= 2:  # the first blocks compile and warm up
-                rates[label].append(_BLOCK * VEHICLES / (time.perf_counter() - began))
-    return rates
+                found.append((name, times))
+    return found
 
 
 def action_times(policy: Policy, repeats: int, seed: int) -> list[float]:
@@ -158,12 +192,25 @@ def training_rate(steps: int, seed: int) -> float:
         return float(storage.read_json(Path(folder, "run", "metrics.json"), "metrics")["steps_per_second"])
 
 
+def first_use(kind: str) -> float:
+    """Return the CPU seconds in which a new process without compiled functions does a first step."""
+    with tempfile.TemporaryDirectory() as folder:
+        before = resource.getrusage(resource.RUSAGE_CHILDREN)
+        program = [sys.executable, "-P", "-c", _FIRST_USE, kind]
+        subprocess.run(program, env=os.environ | {"NUMBA_CACHE_DIR": folder}, check=True)
+        after = resource.getrusage(resource.RUSAGE_CHILDREN)
+    return after.ru_utime + after.ru_stime - before.ru_utime - before.ru_stime
+
+
 def _remarks(results: Results) -> list[str]:
-    machine, first = runs.versions(), next(iter(_PLANTS))
+    machine, plant = runs.versions(), next(iter(_PLANTS))
     loads = [f"{row['value']:.1f} {row['name']}" for row in results.study.facts]
-    rate, action, training = map(results.one, (RATE, ACTION, TRAINING))
+    rate, action, training, first = map(results.one, (RATE, ACTION, TRAINING, FIRST))
+    resting, moving = (results.one(CPU, platforms=name)["value"] for name in _PLATFORMS)
     return [
         f"{machine['cpu']}, {machine['cores']} cores, load {' and '.join(loads)}.",
-        f"This machine simulates {rate['value']:,.0f} control steps per second ({first}), takes "
+        f"This machine simulates {rate['value']:,.0f} control steps per second ({plant}), takes "
         f"{action['value']:.0f} us for an action, and trains at {training['value']:,.0f} steps per second.",
+        f"Platforms that move cost {100 * (moving / resting - 1):+.0f} % of CPU over platforms at rest.",
+        f"The first use after an installation takes {first['value']:.1f} s of CPU.",
     ]
