@@ -264,9 +264,9 @@ def resolve(config: TrainConfig) -> TrainConfig:
     if randomise is not None and (config.steps is not None or training.success is None):
         training = dataclasses.replace(training, evaluate_every=VARIED)
 
-    named = [field.name for field in dataclasses.fields(training) if hasattr(config, field.name)]
+    options = {field.name for field in dataclasses.fields(config)} - {"randomise"}
+    named = [field.name for field in dataclasses.fields(training) if field.name in options]
     chosen = {name: getattr(config, name) for name in named if getattr(config, name) is not None}
-    chosen.pop("randomise", None)
     learning = dataclasses.replace(training, **chosen)
     schema.check(learning, None, flag_of)
     values: dict[str, Any] = {name: getattr(learning, name) for name in named if name not in ENDING}

@@ -26,6 +26,7 @@ if TYPE_CHECKING:
 
 EVALUATION_STARTS = 64
 ENDING_STARTS = 256  # of evaluations that end a run
+_SEED = 1_000_003  # apart from every training seed's stream, and from the frozen grid
 
 
 class PeriodicEvaluation:
@@ -39,7 +40,7 @@ class PeriodicEvaluation:
     def __init__(self, config: TrainConfig):
         self.rows: list[dict] = []
         self.best: bytes | None = None
-        self.task, self.seed = ppo.build_task(config), ppo.evaluation_seed(config)
+        self.task, self.seed = ppo.build_task(config), _SEED + config.seed
         count = EVALUATION_STARTS if config.success is None else ENDING_STARTS
         count += 0 if config.randomise is None else count // 2
         options: dict[str, Any] = {"threads": config.threads, **self.task.plant_options}

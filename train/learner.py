@@ -14,6 +14,7 @@ from inclined_landing.models.parameters import load_vehicle
 from inclined_landing.train import ppo, warm_start
 from inclined_landing.train.callbacks import TimeSpent, with_weights
 from inclined_landing.train.config import TrainConfig
+from inclined_landing.train.curriculum import make_curriculum
 from inclined_landing.train.record import changed_entries, ranges_of
 
 
@@ -29,7 +30,11 @@ class Learner:
         self.config, self.record = config, record
         self.env = ppo.training_environment(config)
         self.task: Task = self.env.env.task
-        self.curriculum = ppo.build_curriculum(config)
+        drawn = config.randomise is not None and config.dimensions != 3
+        assert config.curriculum is not None and config.gamma is not None
+        self.curriculum = make_curriculum(
+            config.curriculum, config.task, config.gamma, config.without, drawn=drawn
+        )
         self.history: list[dict] = []
         self.averages: dict[str, torch.Tensor] = {}
         self.clock = TimeSpent()

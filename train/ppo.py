@@ -21,14 +21,13 @@ from inclined_landing.models.parameters import load_vehicle
 from inclined_landing.models.plants import make_plant
 from inclined_landing.models.vehicle import Vehicle
 from inclined_landing.train.config import NET_ARCH, TrainConfig
-from inclined_landing.train.curriculum import Curriculum, initial_gamma, make_curriculum
+from inclined_landing.train.curriculum import initial_gamma
 from inclined_landing.train.fast.ppo import FastPPO
 
 # Bytes, measured: a sample with its copies; of each past step in it seven numbers, in the buffer and its
 # copies; a vehicle with engine and records.
 _SAMPLE, _PAST, _VEHICLE = 100, 80, 20_000
 _FEW = 256  # environments of which one thread flies those in the engine, 3 of 128 on average
-_EVALUATION_SEED = 1_000_003  # apart from every training seed's stream
 _FROM_TRAINING = ("rollout", "batch_size", "epochs", "learning_rate", "gamma", "gae_lambda", "log_std_init")
 
 
@@ -83,18 +82,6 @@ def build_task(config: TrainConfig) -> Task:
     if config.vehicle and config.pwm_centre != OWN:
         options["pwm_centre"] = resolve_pwm_centre(config.pwm_centre, vehicle)
     return make_task(config.task, vehicle, **options)
-
-
-def build_curriculum(config: TrainConfig) -> Curriculum:
-    """Return the configured curriculum in its initial state."""
-    assert config.curriculum is not None and config.gamma is not None
-    drawn = config.randomise is not None and config.dimensions != 3
-    return make_curriculum(config.curriculum, config.task, config.gamma, config.without, drawn=drawn)
-
-
-def evaluation_seed(config: TrainConfig) -> int:
-    """Return the seed of the periodic evaluation's starts, which training and frozen grid do not use."""
-    return _EVALUATION_SEED + config.seed
 
 
 def build_model(config: TrainConfig, env: BatchVecEnv) -> PPO:
