@@ -42,7 +42,6 @@ def command(
         vehicle: vehicle file (TOML) or name of a shipped vehicle (default: that of the training). Vehicle
             parameters that a policy observes become constants of the network.
     """
-    check_format(format)
     from inclined_landing.envs.shared.tables import say
     from inclined_landing.envs.tasks import import_task, is_path
     from inclined_landing.eval.export import c_source, contract
@@ -65,9 +64,12 @@ def write(policy: Policy, format: str, out: str | Path) -> dict:
     """Write the export of a policy into the new folder `out`, atomically; return its contract.
 
     format: one of FORMATS. Raises UserError for any other format, for a policy that the format cannot
-    represent, and if the folder exists and is not empty or cannot be written.
+    represent, and if the folder exists and is not empty or cannot be written; ImportError for a format whose
+    package is not installed.
     """
-    check_format(format)
+    if format not in FORMATS:
+        raise UserError(f"unknown format {shown(repr(format), 40)}; choose from {', '.join(FORMATS)}")
+    module = importlib.import_module(FORMATS[format])
     from inclined_landing.envs.shared.runs import staged_run
     from inclined_landing.eval.export import contract, vectors
     from inclined_landing.models.base import storage
@@ -76,14 +78,7 @@ def write(policy: Policy, format: str, out: str | Path) -> dict:
     written, terms = contract.single(policy), contract.describe(policy)
     tested = vectors.record(policy)
     with staged_run(out) as folder:
-        importlib.import_module(FORMATS[format]).write(folder, written, terms, tested)
+        module.write(folder, written, terms, tested)
         storage.write_json(folder / "vectors.json", tested.table())
         storage.write_json(folder / "contract.json", terms)
     return terms
-
-
-def check_format(format: str) -> None:
-    """Raise UserError for an unknown format, and ImportError for one whose package is not installed."""
-    if format not in FORMATS:
-        raise UserError(f"unknown format {shown(repr(format), 40)}; choose from {', '.join(FORMATS)}")
-    importlib.import_module(FORMATS[format])
