@@ -22,7 +22,7 @@ from inclined_landing.models.attitude import (
     Z,
 )
 from inclined_landing.models.parameters import load_vehicle
-from inclined_landing.models.plants import AnalyticPlant, Attitude, MujocoPlant, make_plant
+from inclined_landing.models.plants import AnalyticPlant, Attitude, MujocoPlant, make_plant, recorder
 from inclined_landing.models.vehicle import Vehicle
 
 WORDS = Words(__package__)  # of the page, with the tolerances
@@ -69,11 +69,7 @@ def fly(plant, commands: np.ndarray, starts: np.ndarray | None = None, **changes
     plant.reset(everyone, start_states(plant.n, vehicle=plant.vehicle) if starts is None else starts)
     if changes:
         plant.perturb(**changes)
-    history = np.empty((len(commands), *plant.state.shape))
-    for row, command in zip(history, commands):
-        plant.step(command)
-        row[:] = plant.state
-    return history
+    return recorder.fly(plant, commands)[1:]
 
 
 def position_gap(a: np.ndarray, b: np.ndarray) -> np.ndarray:
