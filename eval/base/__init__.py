@@ -1,1 +1,1 @@
-"""Code shared by all commands: options, progress, pages, claims, style. It imports no other subpackage."""
+"""Code shared by all commands: options, pages, claims, style. It imports no other subpackage."""
