@@ -1,1 +1,1 @@
-"""Code shared by `landing-train` and `landing-eval`: command lines, options, progress, run folders, tables, pool."""
+"""Code shared by `landing-train` and `landing-eval`: command lines, progress, run folders, tables, pool."""
