@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import dataclasses
+from collections.abc import Sequence
+from typing import Any
 
 import numpy as np
 
@@ -10,6 +12,7 @@ from inclined_landing.envs.rendering import scenery
 from inclined_landing.envs.rendering.camera import look_at
 from inclined_landing.envs.rendering.pose import Ghost, Pose, qpos_of_state
 from inclined_landing.envs.rendering.ray import RayRenderer
+from inclined_landing.models import threads
 from inclined_landing.models.attitude import STATE_SIZE
 from inclined_landing.models.base.errors import UserError
 from inclined_landing.models.parameters import load_vehicle
@@ -56,15 +59,26 @@ class SpriteRenderer:
         attitude = np.asarray(attitude, float)
         if attitude.shape != (3,) or not np.isfinite(attitude).all():
             raise UserError("an attitude must be three finite angles: roll, pitch and yaw")
-        key = (attitude.tobytes(), None if colour is None else tuple(np.asarray(colour, float)), tint)
+        key = _key(attitude, colour, tint)
         if key not in self._cache:
-            self._cache[key] = self._draw(attitude, colour, tint)
+            self._cache[key] = self._draw(self._renderer, attitude, colour, tint)
         return self._cache[key]
 
-    def _draw(self, attitude, colour, tint) -> Sprite:
+    def prepare(self, wanted: Sequence[tuple[np.ndarray, Any]], tint: float = 0.85) -> None:
+        """Draw the sprites of attitudes and colours, two at a time, so that they are at hand."""
+        renderers = self._renderer.several(2)
+
+        def draw(part) -> None:
+            renderer, (attitude, colour) = part
+            self._cache[_key(attitude, colour, tint)] = self._draw(renderer, attitude, colour, tint)
+
+        for first in range(0, len(wanted), len(renderers)):
+            threads.in_threads(draw, list(zip(renderers, wanted[first:])))
+
+    def _draw(self, renderer: RayRenderer, attitude, colour, tint) -> Sprite:
         state = np.zeros(STATE_SIZE)
         state[:3], state[6:9] = _PLACE, attitude
-        scene, n = self._renderer._scene, self.pixels
+        scene, n = renderer._scene, self.pixels
         centre = scenery.scaled_centres(scene.model, state[None], self.scale)[0]
         qpos = qpos_of_state(state)
         scene.place(qpos)
@@ -74,9 +88,13 @@ class SpriteRenderer:
         aside = np.array([2.0, 0.0, 0.0] if self.across else [0.0, -2.0, 0.0])
         view = look_at(centre + aside, centre, n, n, extent=2.0 * half)
         ghost = None if colour is None else Ghost(qpos, tuple(colour), alpha=1.0, tint=tint)
-        (row, column), rgb, cover, _ = self._renderer._vehicle_layer(view, qpos, (0, 0, n, n), ghost)
+        (row, column), rgb, cover, _ = renderer._vehicle_layer(view, qpos, (0, 0, n, n), ghost)
         picture = np.zeros((n, n, 4))
         picture[:, :, :3] = rgb.sum(axis=0) / cover.sum()  # what resampling mixes in at the edges
         picture[row, column, :3] = rgb / cover[:, None]
         picture[row, column, 3] = cover
         return Sprite((np.clip(picture, 0.0, 1.0) * 255.0 + 0.5).astype(np.uint8), half)
+
+
+def _key(attitude: np.ndarray, colour, tint: float) -> tuple:
+    return attitude.tobytes(), None if colour is None else tuple(np.asarray(colour, float)), tint

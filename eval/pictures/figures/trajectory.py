@@ -18,7 +18,7 @@ from inclined_landing.eval.pictures.figures.scene import (
     draw_vehicle,
 )
 from inclined_landing.eval.pictures.path import path_share, select_copies
-from inclined_landing.models.attitude import PITCH, PITCH_COMMAND, PWM, ROLL, ROLL_COMMAND, Z
+from inclined_landing.models.attitude import PITCH, PITCH_COMMAND, PWM, ROLL, ROLL_COMMAND, YAW, Z
 from inclined_landing.models.base.errors import UserError
 from inclined_landing.models.vehicle import Vehicle
 
@@ -94,6 +94,7 @@ def _draw_scene(axes, flight: Flight, chosen, sprites: SpriteRenderer, ratio: fl
         box = Rectangle(target[plane] - d, 2 * d, 2 * d, fill=False, gid="goal box")
         box.set(edgecolor=GREEN, linewidth=1.0, linestyle=(0, (3, 2)), zorder=2.6)
         axes.add_patch(box)
+    sprites.prepare([(state[k, ROLL : YAW + 1], colours[k]) for k in chosen])
     for order, k in enumerate(chosen):
         above = 4.0 + 0.01 * order
         draw_vehicle(axes, sprites, state[k], colour=colours[k], alpha=0.92, zorder=above, gid=f"copy {k}")
