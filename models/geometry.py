@@ -191,8 +191,8 @@ def _box_distance(dx, dy, dz, turns, centres, sizes, b):
     dx = abs(dx - centres[b, 0]) - sizes[b, 0]
     dy = abs(dy - centres[b, 1]) - sizes[b, 1]
     dz = abs(dz - centres[b, 2]) - sizes[b, 2]
-    outside = math.sqrt(max(dx, 0.0) ** 2 + max(dy, 0.0) ** 2 + max(dz, 0.0) ** 2)
-    return outside + min(max(dx, dy, dz), 0.0)
+    x, y, z = max(dx, 0.0), max(dy, 0.0), max(dz, 0.0)
+    return math.sqrt(x * x + y * y + z * z) + min(max(dx, dy, dz), 0.0)
 
 
 _UPRIGHT = (0.0, 1.0)  # sine, cosine of no angle

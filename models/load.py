@@ -49,7 +49,7 @@ def swing(x, y, z, vx, vy, vz, ax, ay, az, length):
 @inlined
 def rectify(load):
     """Normalise a load's state (6,) in place after integration, so that |q| = 1 and q' is normal to q."""
-    size = math.sqrt(load[0] ** 2 + load[1] ** 2 + load[2] ** 2)
+    size = math.sqrt(load[0] * load[0] + load[1] * load[1] + load[2] * load[2])
     for k in range(3):
         load[k] /= size
     radial = load[0] * load[3] + load[1] * load[4] + load[2] * load[5]

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
+import math
 
 import mujoco
 import numpy as np
@@ -74,7 +75,6 @@ def read_contacts(sensors, ids, addresses, zone, near, touch, force):
 
     The forces on one part by the base's geoms are added as vectors.
     """
-    net = np.empty(3)
     for seen in range(len(ids)):
         i = ids[seen]
         near[i] = False
@@ -87,16 +87,15 @@ def read_contacts(sensors, ids, addresses, zone, near, touch, force):
             for surface in range(3):
                 for part in range(3):
                     found = False
-                    net[0] = net[1] = net[2] = 0.0
+                    x = y = z = 0.0
                     for geom in range(len(geometry.GEOM_SURFACE)):
                         k = addresses[geom, part]
                         if geometry.GEOM_SURFACE[geom] == surface and row[k] > 0.0:
                             found = True
-                            for j in range(3):
-                                net[j] += row[k + 1 + j]
+                            x, y, z = x + row[k + 1], y + row[k + 2], z + row[k + 3]
                     if found:
                         near[i, surface, part] = True
-                        size = np.sqrt(net[0] ** 2 + net[1] ** 2 + net[2] ** 2)
+                        size = math.sqrt(x * x + y * y + z * z)
                         force[i, surface, part] = max(force[i, surface, part], size)
                         if size > 0.0 or not zone:
                             touch[i, surface, part] = True

@@ -188,10 +188,11 @@ def _bound(i, moving, rates):
     for mode in range(6):
         gained = 0.0
         for k in range(waves.amplitude.shape[2]):
-            gained += abs(waves.amplitude[i, mode, k]) * waves.frequency[i, mode, k] ** 2
+            frequency = waves.frequency[i, mode, k]
+            gained += abs(waves.amplitude[i, mode, k]) * (frequency * frequency)
         gained *= 0.5 * moving.period + 2.0 * moving.late
         if mode < 3:
-            square += gained**2
+            square += gained * gained
         else:
             turning += abs(rates[mode]) + gained
     return math.sqrt(square) + moving.reach * turning
