@@ -68,6 +68,8 @@ class RolloutWindows:
     first: np.ndarray  # (n,) row in the flight
     rows: int  # steps of the horizon
     dt: float
+    # What was simulated of them already: plant, vehicle -> pose
+    _poses: dict[tuple[str, Vehicle], np.ndarray] = dataclasses.field(default_factory=dict, repr=False)
 
     @staticmethod
     def of(flights: Sequence[MeasuredFlight], horizon: float = HORIZON) -> RolloutWindows:
@@ -175,6 +177,16 @@ def simulate(
     Flights without attitude commands follow the measured attitude, by the equations in either plant.
     perturbation: (n, 12) added to position, velocity, attitude and body rates of the start states.
     """
+    if perturbation is not None:
+        return _simulated(starts, vehicle, plant, perturbation)
+    if (plant, vehicle) not in starts._poses:
+        starts._poses[plant, vehicle] = _simulated(starts, vehicle, plant)
+    return starts._poses[plant, vehicle]
+
+
+def _simulated(
+    starts: RolloutWindows, vehicle: Vehicle, plant: str, perturbation: np.ndarray | None = None
+) -> np.ndarray:
     vehicle = as_flown(starts.flights[0], vehicle)
     driven = [delayed_commands(f.command, f.dt, vehicle) for f in starts.flights]
     commands = starts.gather([c for c, _ in driven])
@@ -321,6 +333,8 @@ def errors_by_flight(
     starts: RolloutWindows, vehicle: Vehicle | Sequence[Vehicle], plant: str = "analytic"
 ) -> np.ndarray:
     """Return `position_error` (rows,); each flight may have its own vehicle."""
+    if not isinstance(vehicle, Vehicle) and len(set(vehicle)) == 1:
+        vehicle = vehicle[0]
     if isinstance(vehicle, Vehicle):
         return position_error(simulate(starts, vehicle, plant), starts.measured())
     squares, total = 0.0, 0
