@@ -17,8 +17,9 @@ import dataclasses
 from collections.abc import Sequence
 
 import numpy as np
-from scipy.linalg import cholesky, eigh, null_space, solve_triangular
+from scipy.linalg import cholesky, null_space, solve_triangular
 
+from inclined_landing.models.threads import two_at_a_time
 from inclined_landing.models.vehicle import Vehicle
 
 TIMES = np.geomspace(0.05, 1.6, 6)  # s
@@ -185,7 +186,7 @@ def estimate(
     windows = [f.cut(e) for f, e in zip(flights, errors)]
     if weights is not None:
         windows = [w * np.sqrt(counts)[:, None] for w, counts in zip(windows, weights)]
-    columns = [_fit_channel(flights, windows, c) for c in range(flights[0].channels)]
+    columns = two_at_a_time(lambda c: _fit_channel(flights, windows, c), range(flights[0].channels))
     size, size_ends, time, time_ends, noise = (np.array(x) for x in zip(*columns))
     return NoiseModel(size, size_ends.T, time, time_ends.T, noise)
 
@@ -223,13 +224,16 @@ def _simultaneous_modes(flight, windows: np.ndarray, channel: int):
     They are along the generalised eigenvectors, which diagonalise the covariances of noise and disturbance
     together.
     """
-    # D v = lambda N v,  v'N v = 1:  a mode has the variance  noise + size^2 lambda
+    # D v = lambda N v,  v'N v = 1:  a mode has the variance  noise + size^2 lambda.  With N = L L' these are
+    # the eigenvectors u of L^-1 D L'^-1,  v = L'^-1 u.
     error_responses = flight.error_responses
     noise = error_responses.noise(channel, flight.noise, flight.acceleration_noise)
-    free = windows[..., channel] @ error_responses.projection[channel]
+    inverse = np.linalg.inv(np.linalg.cholesky(noise))
+    free = windows[..., channel] @ error_responses.projection[channel] @ inverse.T
     result = []
     for time in TIMES:
-        variance, modes = eigh(error_responses.disturbance(channel, float(time)), noise)
+        disturbance = inverse @ error_responses.disturbance(channel, float(time)) @ inverse.T
+        variance, modes = np.linalg.eigh(disturbance)  # unlike scipy's, in two threads at once
         result.append((np.maximum(variance, 0.0), _mean_squares(free @ modes), len(windows)))
     return result
 
