@@ -6,7 +6,6 @@ import contextlib
 import dataclasses
 import itertools
 import pathlib
-import subprocess
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from typing import Any
 
@@ -43,11 +42,9 @@ from inclined_landing.models.base.errors import UserError
 
 FPS = 50.0  # one frame for every control step
 _ENDED = "ffmpeg was killed; is the disk full, the file too large (ulimit -f), or memory short?"
-_PALETTE = "split[s0][s1];[s0]palettegen[p];[s1][p]paletteuse=diff_mode=rectangle"
-_CODECS = {
-    ".mp4": ("-vcodec", "h264", "-pix_fmt", "yuv420p", "-qp", "20"),
-    ".gif": ("-vcodec", "gif", "-pix_fmt", "pal8", "-vf", _PALETTE, "-f", "gif"),
-}
+_CODECS = {".mp4": "h264", ".gif": "gif"}
+# The palette dithers only what moves.
+_GIF = ("-vf", "split[s0][s1];[s0]palettegen[p];[s1][p]paletteuse=diff_mode=rectangle")
 _HERO = np.array([1.75, 2.9, -1.0])  # where the hero camera looks, from its place
 _ROOM = np.array([0.2, 0.2, 0.15])  # m around a flight: the vehicle as it is drawn, and some air
 _FILLED = 0.88  # of a picture's height; the caption has the rest
@@ -240,28 +237,39 @@ def write_videos(every: Mapping[pathlib.Path, int], frames, fps: float = FPS) ->
 
 
 @contextlib.contextmanager
-def _encoded(path: pathlib.Path, part: pathlib.Path, shape, fps: float) -> Iterator[Callable[[Any], Any]]:
-    """Yield a function that adds a frame to the video that is written to `part`, the later `path`.
-
-    Raises UserError if ffmpeg is missing, was terminated, or cannot write `part`.
-    """
+def _encoded(path: pathlib.Path, part: pathlib.Path, shape, fps: float) -> Iterator[Callable[[Any], None]]:
+    """Yield a function that adds a frame to the video that is written to `part`, the later `path`."""
     import imageio_ffmpeg
+    import mediapy
 
-    source = f"-f rawvideo -pix_fmt rgb24 -s {shape[1]}x{shape[0]} -r {fps} -i - -an"
+    codec = _CODECS[path.suffix.lower()]
+    quality = 20 if codec == "h264" else None
+    with _failures(path, part):
+        mediapy.set_ffmpeg(imageio_ffmpeg.get_ffmpeg_exe())
+        extra = _GIF if codec == "gif" else ()
+        writer = mediapy.VideoWriter(
+            part, shape, fps=fps, codec=codec, qp=quality, ffmpeg_args=extra
+        ).__enter__()
+
+    def add(frame: np.ndarray) -> None:
+        with _failures(path, part):
+            writer.add_image(frame)
+
     try:
-        command = [imageio_ffmpeg.get_ffmpeg_exe(), "-v", "error", *source.split()]
-        command += [*_CODECS[path.suffix.lower()], "-y", str(part)]
-        process = subprocess.Popen(command, stdin=subprocess.PIPE, stderr=subprocess.PIPE)
+        yield add
+    finally:
+        with _failures(path, part):
+            writer.close()
+
+
+@contextlib.contextmanager
+def _failures(path: pathlib.Path, part: pathlib.Path) -> Iterator[None]:
+    """Raise UserError if ffmpeg is missing, was terminated, or cannot write `part`."""
+    try:
+        yield
     except (OSError, RuntimeError) as error:
-        reason = storage.reason(error) if isinstance(error, OSError) else str(error)
+        text = storage.reason(error) if isinstance(error, OSError) else str(error)
+        last = text.removeprefix(f"Error writing '{part}': ").strip().rpartition("\n")[2].rpartition(": ")[2]
+        ended = isinstance(error, BrokenPipeError) or not last
+        reason = _ENDED if ended else last[0].lower() + last[1:]
         raise UserError(f"cannot write {path}: {reason}") from error
-    with process:
-        assert process.stdin is not None and process.stderr is not None
-        complete = False
-        with contextlib.suppress(BrokenPipeError):  # ffmpeg says why
-            yield process.stdin.write
-            process.stdin.close()
-            complete = True
-        said = process.stderr.read().decode(errors="replace").strip().rpartition("\n")[2].rpartition(": ")[2]
-        if process.wait() != 0 or not complete:
-            raise UserError(f"cannot write {path}: {said[0].lower() + said[1:] if said else _ENDED}")
