@@ -22,7 +22,7 @@ from pathlib import Path
 
 import matplotlib.pyplot as plt
 
-from inclined_landing.eval.base import style
+from inclined_landing.eval.base import colours, style
 from inclined_landing.models.effects import apply
 from inclined_landing.models.parameters import load_vehicle, write_vehicle
 
@@ -186,14 +186,14 @@ def draw(success: dict, error: dict, path: Path) -> None:
     """Draw success on the true vehicle, and the error of the model, before and after."""
     with plt.rc_context(style.STYLE):
         figure, (left, right) = plt.subplots(1, 2, figsize=(6.4, 2.6), layout="constrained")
-        names, colours = ("before", "after"), (style.ORANGE, style.BLUE)
+        names, two = ("before", "after"), (colours.ORANGE, colours.BLUE)
         rows = [success[name] for name in names]
         share = [100 * row["value"] for row in rows]
         ends = [
             [100 * (row["value"] - row["low"]) for row in rows],
             [100 * (row["high"] - row["value"]) for row in rows],
         ]
-        bars = left.bar(names, share, yerr=ends, color=colours, width=0.55, capsize=4, ecolor=style.INK)
+        bars = left.bar(names, share, yerr=ends, color=two, width=0.55, capsize=4, ecolor=colours.INK)
         left.bar_label(
             bars, [f"{row['count']} of {row['flights']}" for row in rows], label_type="center", color="white"
         )
@@ -201,9 +201,9 @@ def draw(success: dict, error: dict, path: Path) -> None:
             ylabel="starts that reach the goal box [%]", ylim=(0, 105), title="Policy on the true vehicle"
         )
         lengths = [100 * error[name] for name in names]
-        bars = right.bar(names, lengths, color=colours, width=0.55)
+        bars = right.bar(names, lengths, color=two, width=0.55)
         right.bar_label(bars, [f"{length:.1f} cm" for length in lengths], padding=2)
-        right.axhline(100 * error["floor"], color=style.MUTED, linewidth=1, linestyle="--")
+        right.axhline(100 * error["floor"], color=colours.MUTED, linewidth=1, linestyle="--")
         right.set(
             ylabel="position error after 1 s [cm]", ylim=(0, 1.15 * lengths[0]), title="Model on the flights"
         )

@@ -13,18 +13,7 @@ from matplotlib.figure import Figure
 from matplotlib.legend import Legend
 from matplotlib.transforms import ScaledTranslation
 
-from inclined_landing.eval.base.colours import (  # noqa: F401
-    AIR,
-    BASE,
-    BLUE,
-    GREEN,
-    INK,
-    MUTED,
-    ORANGE,
-    PURPLE,
-    RULE,
-    SLAB,
-)
+from inclined_landing.eval.base.colours import BLUE, GREEN, INK, MUTED, ORANGE, PURPLE, RULE
 from inclined_landing.models.base import storage
 from inclined_landing.models.base.errors import UserError, shown
 

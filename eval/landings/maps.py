@@ -14,7 +14,8 @@ from matplotlib.figure import Figure
 from matplotlib.patches import Patch
 from scipy.ndimage import gaussian_filter
 
-from inclined_landing.eval.base.style import INK, MUTED, halo, styled
+from inclined_landing.eval.base.colours import INK, MUTED
+from inclined_landing.eval.base.style import halo, styled
 from inclined_landing.eval.landings.landing import OUTCOMES, RESTS
 from inclined_landing.eval.landings.parameters import Parameter
 

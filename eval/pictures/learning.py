@@ -19,14 +19,8 @@ from matplotlib.ticker import LogLocator, NullLocator
 
 from inclined_landing.envs.hover import TOLERANCE
 from inclined_landing.envs.tasks.base import VEHICLE_KINDS
-from inclined_landing.eval.base.style import (
-    BLUE,
-    GREEN,
-    MUTED,
-    ORANGE,
-    PURPLE,
-    styled,
-)
+from inclined_landing.eval.base.colours import BLUE, GREEN, MUTED, ORANGE, PURPLE
+from inclined_landing.eval.base.style import styled
 from inclined_landing.models.base import storage
 from inclined_landing.models.base.errors import UserError, shown
 

@@ -12,7 +12,8 @@ from matplotlib.figure import Figure
 from matplotlib.layout_engine import ConstrainedLayoutEngine
 from matplotlib.ticker import LogLocator, NullLocator
 
-from inclined_landing.eval.base.style import BLUE, GREEN, INK, MUTED, ORANGE, PURPLE, styled
+from inclined_landing.eval.base.colours import BLUE, GREEN, INK, MUTED, ORANGE, PURPLE
+from inclined_landing.eval.base.style import styled
 
 DASHED: dict[str, Any] = {"color": MUTED, "lw": 1.2, "ls": (0, (5, 2))}
 # Colour, marker and its size: of equal curves each shows behind the next.

@@ -20,9 +20,10 @@ from matplotlib.figure import Figure
 
 from inclined_landing.envs.shared.tables import new_table, say, show_table
 from inclined_landing.eval.base.claims import Section, Table
+from inclined_landing.eval.base.colours import BLUE, GREEN, INK, ORANGE, PURPLE, RULE
 from inclined_landing.eval.base.options import FlightSource
 from inclined_landing.eval.base.page import of_sections, png
-from inclined_landing.eval.base.style import BLUE, GREEN, INK, ORANGE, PURPLE, RULE, panel, styled
+from inclined_landing.eval.base.style import panel, styled
 from inclined_landing.eval.gap.answer import rollout
 from inclined_landing.eval.gap.answer.identification import Identification
 from inclined_landing.eval.gap.flights.usable import ReadFlights

@@ -12,7 +12,8 @@ from matplotlib.patches import Rectangle
 
 from inclined_landing.envs.rendering.sprite import SpriteRenderer
 from inclined_landing.envs.tasks.landing import InclinedLanding, LandingConditions
-from inclined_landing.eval.base.style import GREEN, INK, MUTED, panel, styled
+from inclined_landing.eval.base.colours import GREEN, INK, MUTED
+from inclined_landing.eval.base.style import panel, styled
 from inclined_landing.eval.pictures.figures.scene import (
     GOAL_COLOUR,
     draw_background,

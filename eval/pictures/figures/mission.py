@@ -13,7 +13,8 @@ from matplotlib.patches import Circle, Rectangle
 from inclined_landing.envs.hover import TOLERANCE
 from inclined_landing.envs.mission import LEGS, Mission
 from inclined_landing.envs.rendering.sprite import SpriteRenderer
-from inclined_landing.eval.base.style import BASE, INK, MUTED, SLAB, halo, legend_below, panel, styled
+from inclined_landing.eval.base.colours import BASE, INK, MUTED, SLAB
+from inclined_landing.eval.base.style import halo, legend_below, panel, styled
 from inclined_landing.eval.pictures.figures.scene import draw_background, draw_platform, draw_vehicle
 from inclined_landing.eval.pictures.labels import LEG_COLOURS, leg_colours
 from inclined_landing.eval.pictures.path import select_copies

@@ -7,7 +7,7 @@ from matplotlib.axes import Axes
 from matplotlib.image import AxesImage
 
 from inclined_landing.envs.rendering.sprite import SpriteRenderer
-from inclined_landing.eval.base.style import AIR, BASE, GREEN, SLAB
+from inclined_landing.eval.base.colours import AIR, BASE, GREEN, SLAB
 from inclined_landing.models.vehicle import Vehicle
 
 GOAL_COLOUR = tuple(int(GREEN[i : i + 2], 16) / 255.0 for i in (1, 3, 5))

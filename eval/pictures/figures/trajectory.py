@@ -10,7 +10,8 @@ from matplotlib.transforms import ScaledTranslation
 
 from inclined_landing.envs.flights import Flight
 from inclined_landing.envs.rendering.sprite import SpriteRenderer
-from inclined_landing.eval.base.style import BLUE, GREEN, MUTED, ORANGE, PURPLE, panel, styled, time_colours
+from inclined_landing.eval.base.colours import BLUE, GREEN, MUTED, ORANGE, PURPLE
+from inclined_landing.eval.base.style import panel, styled, time_colours
 from inclined_landing.eval.pictures.figures.scene import (
     GOAL_COLOUR,
     draw_background,

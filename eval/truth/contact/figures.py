@@ -5,7 +5,8 @@ from __future__ import annotations
 import numpy as np
 from matplotlib.axes import Axes
 
-from inclined_landing.eval.base.style import INK, legend_below
+from inclined_landing.eval.base.colours import INK
+from inclined_landing.eval.base.style import legend_below
 from inclined_landing.eval.truth.figures import DASHED, curves, panels
 
 

@@ -10,7 +10,8 @@ import numpy as np
 from matplotlib.axes import Axes
 
 from inclined_landing.eval.base.claims import Claim, Section, Table
-from inclined_landing.eval.base.style import BLUE, INK, legend_below
+from inclined_landing.eval.base.colours import BLUE, INK
+from inclined_landing.eval.base.style import legend_below
 from inclined_landing.eval.truth.equivalence import flying
 from inclined_landing.eval.truth.equivalence.flying import (
     WORDS,
