@@ -247,10 +247,10 @@ def _mujoco(starts, vehicle, state, integral, commands, ambient, lag) -> np.ndar
     scale = _thrust_scales(ambient, lag, forces.pack(vehicle))
     varies = bool((scale != 1.0).any())
     step = starts.dt / math.ceil(starts.dt / LARGEST_STEP - 1e-9)
-    plant = MujocoPlant(n, plain, control_period=starts.dt, timestep=step)
-    plant.set_platform(np.arange(n), vehicle.platform_inclination, ambient[:, 0, 3] > 0.0)
     # Free flight meets nothing: without surfaces that matter it is flown high above the floor.
     lift = 0.0 if vehicle.effects_ground_effect or ambient[:, 0, 3].any() else CLEAR_HEIGHT
+    plant = MujocoPlant(n, plain, control_period=starts.dt, timestep=step, contacts=not lift)
+    plant.set_platform(np.arange(n), vehicle.platform_inclination, ambient[:, 0, 3] > 0.0)
     state[:, 2] += lift
     plant.reset(np.arange(n), state)
     plant.integral[:] = integral

@@ -243,12 +243,13 @@ def _neighbours(problem: Problem, node: FittedSet) -> list[EffectSet]:
 
     Or by two of three that are a combination of each other exchanged for the third.
     """
-    names = list(problem.library)
-    others = [n for n in names if n not in node.names]
-    result = [node.names - {n} for n in node.names]
+    # In the library's order: the order of sets differs from process to process.
+    held = [n for n in problem.library if n in node.names]
+    others = [n for n in problem.library if n not in node.names]
+    result = [node.names - {n} for n in held]
     if len(node.names) < MOST_EFFECTS:
         result += [node.names | {n} for n in others]
-    result += [(node.names - {n}) | {m} for n in node.names for m in others]
+    result += [(node.names - {n}) | {m} for n in held for m in others]
     redundant = (of for of in REDUNDANT if len(of) == 3 and of <= problem.library.keys())
     result += [node.names ^ of for of in redundant if len(of & node.names) == 2]
     if len(node.names) + 2 <= MOST_EFFECTS:
