@@ -5,9 +5,15 @@ function. Functions that kernels call are therefore compiled once and inlined by
 inlining would compile them again at every call. Functions that only kernels call have no compiled entry point
 for Python, which runs the uncompiled source. Python's cyclic garbage collector is off while numba compiles,
 because it would take a tenth of the time.
+
+Numba's cache looks at a function's own file only, not at those of the functions it calls. In a clone, where
+files change one by one, compiled functions that are older than what may be compiled into them are removed.
 """
 
 import gc
+import os
+from collections.abc import Sequence
+from pathlib import Path
 
 import numba
 from numba.core import event
@@ -15,7 +21,7 @@ from numba.extending import register_jitable
 
 
 class _CollectLater(event.Listener):
-    """Disables the garbage collector during compilations, which may be nested but not run in two threads."""
+    """Disables the garbage collector during compilations: nested ones, by numba's lock in one thread."""
 
     depth, enabled = 0, False
 
@@ -32,6 +38,35 @@ class _CollectLater(event.Listener):
 
 
 event.register("numba:compile", _CollectLater())
+
+
+def remove_outdated(root: Path, floors: Sequence[str] = ("models", "envs", "train", "eval")) -> None:
+    """Remove compiled functions in folders of `root` that are older than a source they may be compiled from.
+
+    floors: the folders, each of which imports only from itself and those before it.
+    """
+    newest = 0.0
+    for floor in floors:
+        indices = []
+        for folder, _, names in os.walk(root / floor):
+            for path in (os.path.join(folder, name) for name in names):
+                if path.endswith(".nbi"):
+                    indices.append(Path(path))
+                elif path.endswith(".py"):
+                    source = Path(path).read_bytes()
+                    if b"compiled import" in source or b"import numba" in source:
+                        newest = max(newest, os.stat(path).st_mtime)
+        for index in indices:
+            if index.stat().st_mtime < newest:
+                index.unlink(missing_ok=True)
+
+
+_ROOT = Path(__file__).parents[1]
+if (_ROOT / "pyproject.toml").is_file() and "NUMBA_CACHE_DIR" not in os.environ:
+    try:
+        remove_outdated(_ROOT)
+    except OSError:
+        pass  # another process removes them, or the clone cannot be written: then nothing is cached there
 
 _OPTIONS = {"cache": True, "error_model": "numpy", "no_cfunc_wrapper": True}
 

@@ -3,9 +3,7 @@
 # ruff: noqa: E402
 
 import os
-import re
 import sys
-from pathlib import Path
 
 # Every worker of the suite, and every process that a test starts, has one core: thread pools of the linear
 # algebra would only wait for each other. Before NumPy is imported.
@@ -21,24 +19,6 @@ import pytest
 # Compiled functions take seconds at their first call; the same examples on every machine and run.
 hypothesis.settings.register_profile("suite", deadline=None, derandomize=True)
 hypothesis.settings.load_profile("suite")
-
-
-def pytest_configure():
-    """Remove compiled functions that are older than a source of what may be compiled into them.
-
-    Numba looks at a function's own file only. Imports only go down, so that those of models use no others.
-    """
-    if "PYTEST_XDIST_WORKER" in os.environ or "NUMBA_CACHE_DIR" in os.environ:
-        return
-    root, newest = Path(__file__).parents[1], {}
-    for folder in ("models", "envs", "train", "eval"):
-        texts = {path: path.read_text("utf-8") for path in (root / folder).rglob("*.py")}
-        sources = (path for path, text in texts.items() if re.search("compiled import|import numba", text))
-        newest[folder] = max((path.stat().st_mtime for path in sources), default=0.0)
-        used = max(newest[name] for name in {"models", "envs", folder} & set(newest))
-        for index in (root / folder).rglob("__pycache__/*.nbi"):
-            if index.stat().st_mtime < used:
-                index.unlink(missing_ok=True)
 
 
 @pytest.fixture(autouse=True)
