@@ -80,7 +80,7 @@ COMMANDS = {
     ),
     "benchmark": (
         "machine",
-        "Measure the speed of steps, actions and training on this machine (about a minute).",
+        "Measure the speed of steps, actions, training and first use on this machine (one to two minutes).",
     ),
     "doctor": ("machine", "Check the installation and suggest remedies."),
 }

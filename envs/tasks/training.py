@@ -130,7 +130,8 @@ DEFAULTS: dict[str, Training] = _columns()
 def in_case(training: Training, usual: str, case: str) -> Training:
     """Return a task's training with the values in which the column `case` differs from `usual`, the task's.
 
-    A custom task that derives from a shipped one may have its own training; the values that it states stay.
+    A custom task that derives from a shipped one may have its own training: values other than the defaults
+    stay.
     """
     before, values, plain = vars(DEFAULTS[usual]), vars(DEFAULTS[case]), vars(Training())
     changes = {

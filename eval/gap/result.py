@@ -208,7 +208,7 @@ class ReferenceErrors:
     def disturbed(self, disturbance: Mapping[str, Disturbance]) -> dict[str, float]:
         """Return the axes along which the disturbance is larger, by intervals too, and how many times so.
 
-        That of the angles grows with how much a flight steers, as no loop is quite of the modelled form.
+        The angles are disturbed more the more a flight steers, as no loop has quite the modelled form.
         """
         return {
             channel: one.size / max(own.size, 1e-9)
@@ -299,12 +299,12 @@ class ErrorGrowth:
 
 
 def least_cost(residual: ResidualAnalysis, gap: PlantGap | None, reference: ReferenceErrors | None) -> float:
-    """Return the position error [m] up to which an effect must account for more not to be in doubt.
+    """Return the position error [m] that an effect must account for: one that accounts for less is in doubt.
 
-    It is infinite, so that all effects are in doubt, where the error that the named effects leave is much
-    larger than that of the reference flights, or mostly repeats from flight to flight. Where it does not
-    exceed that of the reference flights, what repeats may be the identified vehicle's own error. If that is
-    small compared with the error before, it casts doubt only on effects of its size.
+    It is infinite, so that all effects are in doubt, if the error that remains with the named effects is much
+    larger than that of the reference flights, or mostly repeats from flight to flight. If it does not exceed
+    that of the reference flights, what repeats may be the identified vehicle's own error. If that is small
+    compared with the error before, it casts doubt only on effects of its size.
     """
     if gap is None:
         return math.inf if residual.unexplained else 0.0
@@ -357,9 +357,10 @@ class Diagnosis:
     def verdict(self) -> Verdict:
         """Return the verdict.
 
-        `unknown` where the flights repeat more than the named effects explain, or these leave too much; else
-        `effects` where some are named; else `undecided` where effects of sizes that matter are probable, or
-        could be what the error exceeds that of the reference by; `nothing` where it does not.
+        `unknown`: the flights repeat more than the named effects explain, or these leave too much. Otherwise
+        `effects`: some are named. Otherwise `undecided`: effects of a size that matters are probable, or
+        would explain why the error exceeds that of the reference flights. Otherwise `unknown` if it exceeds
+        that, and `nothing` if it does not.
         """
         landed = self.touchdowns is not None and self.touchdowns.unexplained
         if landed or self.repeats:

@@ -96,10 +96,11 @@ class Parameter:
     plausible: float  # a value that a real vehicle may well have
     negligible: float  # distance from neutral, in the unit, that nobody needs to correct
     one_signed: bool = False  # below neutral lies no physical cause, only room for the noise of a fit
-    # Field of Vehicle, or `field.k` for its number k: one-signed, it may shrink by what is there.
+    # Field of Vehicle to which the size is added (`field.k`: to its number k). A one-signed effect may also
+    # be negative, as far as that field stays positive.
     adds_to: str = ""
     is_reference: bool = False  # the point about which another parameter acts; any value is neutral
-    # For a reference: two sizes, one about each of its bounds, act like one size about a value between them.
+    # For a reference: one size about a value between its bounds acts like two sizes, one about each bound.
     linear: bool = True
     constant: FittedConstant | None = None
     along_the_arm: bool = False  # a length that goes with the vehicle's arms

@@ -229,7 +229,7 @@ def fitted_values(found: SetPosterior, names: EffectSet) -> FittedValues:
 
 def refitted(found: SetPosterior, values: FittedValues) -> tuple[SetPosterior, FittedValues]:
     """Return the posterior linearised again at a set's values, and the values there, largest gain first."""
-    # Read off a linearisation elsewhere, a pair of effects may keep what is not there of either.
+    # A linearisation about other values may give two effects sizes that cancel, though neither is there.
     names, problem = frozenset(values), found.problem
     if names and problem.identified:
         columns = problem.all_columns() + problem.form_columns(values)

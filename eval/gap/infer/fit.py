@@ -192,9 +192,9 @@ def model_error_weights(
 def variance_inflation(problem: Problem, values: Values) -> np.ndarray:
     """Return the variance inflation (C,): the dispersion of the joint fit times the windows' autocorrelation.
 
-    Errors may exceed what the noise model says, for its grid ends. The evidence of a set and the errors of
-    its sizes must then allow for errors as large as those that are left. Outlying windows count as in the
-    noise's estimate.
+    Errors may exceed those of the noise model, whose grid of parameters is bounded. The evidence of a set and
+    the errors of its sizes must then allow for errors as large as those that remain. Outlying windows are
+    limited as in the estimate of the noise.
     """
     # Effective sample size n_eff = n / (1 + 2 sum_k rho_k) (Gelman et al., BDA3, 11.5), with the
     # autocorrelation rho_k = sum_w x_w x_(w+k) / sum_w x_w^2 of the windows' standardised amplitudes x, and

@@ -202,8 +202,9 @@ class LinearGaussian:
     def with_wide_slabs(self, names: EffectSet) -> LinearGaussian:
         """Return the model with slabs LARGE times as wide for large effects of a set, for their sizes.
 
-        The usual slab would leave to the errors of the identified vehicle a share of every large effect. But
-        of effects of the set that compensate one another the flights show only what remains: there it stays.
+        With the usual slab the errors of the identified vehicle would take a share of every large effect. The
+        slab stays for effects that compensate one another: flights show only their sum, and wide slabs would
+        let both grow.
         """
         slab = np.sqrt(self.slab.diagonal())
         own = np.array([k for k in self.index(names) if isinstance(self.columns[k], ParameterColumn)], int)

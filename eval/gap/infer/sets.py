@@ -446,11 +446,14 @@ def confounded_with(sets: Sequence[ScoredSet], best: EffectSet, name: str) -> tu
 def equivalence_class(found: SetPosterior, name: str) -> tuple[str, ...]:
     """Return an effect of the best set, and those that the flights do not distinguish from it.
 
-    These replace it in probable sets, and alone reproduce a share ALIKE of its contribution to the flights,
-    or make a moment too, or are a part of it; or reproduce all but all of it (TIED), whatever their
-    probabilities; or are together the same by their definition (`same_as`). Or they are possible,
-    confused with it by ordinary flights and not linear in all of their numbers: their slopes do not show what
-    they reproduce. Without requests of the motors a centre of mass towards a corner may be a weak rotor.
+    An effect belongs to the class for any of these reasons:
+    - It replaces `name` in probable sets, and reproduces a share ALIKE of its contribution to the flights, or
+      makes a moment as well, or has `name` in its `same_as`.
+    - It reproduces nearly all of that contribution (TIED), whatever its probability.
+    - It is possible, confused with `name` by ordinary flights, and not linear in all of its parameters, so
+      that its slopes do not show what it reproduces.
+    - It is in the `same_as` of `name`.
+    - Without requests of the motors, a centre of mass towards a corner may be a weak rotor.
     """
     local, library = found.local, found.problem.library
     effect, others = library[name], {n: e for n, e in library.items() if n not in found.names}

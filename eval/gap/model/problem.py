@@ -91,8 +91,8 @@ class Problem(Candidates):
         if channels > len(CHANNELS):
             kept = {name: effect.seen_in_requests() for name, effect in kept.items()}
             if reference is not None:
-                # Hover shows what errors of bias, scale and sag make together, and hardly each of them: what
-                # they would do to the slope of the requests must not scale moments.
+                # Hover shows only the sum of errors of bias, scale and sag. Each alone would change the slope
+                # of the requests, and so the size of moments: all flights have the reference's slope.
                 slope = thrust_elasticity(vehicle)
                 flights = [f.with_request_slope(slope) for f in flights]
         windows = np.concatenate([np.tile(f.logged, (len(f.starts), 1)) for f in flights])

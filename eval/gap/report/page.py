@@ -291,7 +291,7 @@ def _draw_predictions(axis: Axes, one: Track, after: bool) -> None:
         label = None if j else f"predicted {HORIZON:g} s ahead"
         axis.plot(t, factor * p, color=colour, linewidth=1.5, label=label)
         axis.plot(t[-1], factor * p[-1], "o", color=colour, markersize=3)
-    # All of the measurement, and of the predictions what lies within its range once more.
+    # The axis shows the whole measurement, and predictions up to 0.8 times its range beyond.
     reach = np.concatenate([p for which in predicted for p in which])
     low, high, far = position.min(), position.max(), math.inf if small else 0.8 * span
     ends = max(low - far, min(low, reach.min())), min(high + far, max(high, reach.max()))

@@ -208,12 +208,12 @@ def _nameless(d: Diagnosis) -> str:
     if d.verdict == "undecided":
         if d.probability(*d.undecided) >= thresholds.UNDECIDED:
             return f"Undecided: the model may lack {names}."
-        return f"Undecided: {larger}, as {names} would make it."
+        return f"Undecided: {larger}; {names} would explain it."
     if d.verdict == "unknown":
         if d.residual.unexplained or not d.exceeds_reference:
             return f"{_UNEXPLAINED[0].upper()}{_UNEXPLAINED[1:]}."
         what = larger if d.larger_error else "disturbances are larger than in the reference flights"
-        return f"No effect is named: {what}, as in air that is not still."
+        return f"No effect is named: {what}, as if the air were moving."
     how = f" ({probability(d.nothing)})" if d.nothing >= 0.5 else ""
     if d.inconsistent_flights:
         return f"No missing effect is common to all flights{how}."

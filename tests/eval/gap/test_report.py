@@ -171,8 +171,8 @@ def test_nothing_is_said_where_the_errors_are_those_of_the_reference():
     assert likely.nothing == pytest.approx(0.4)
     assert dataclasses.replace(likely, displacements={"wind": 0.1}).nothing == pytest.approx(1.0)
     assert words.headline(possible) == (
-        "Undecided: the error is larger than in the reference flights, 60 cm for 35 cm one second ahead, as "
-        "wind (10 %) would make it."
+        "Undecided: the error is larger than in the reference flights, 60 cm for 35 cm one second ahead; "
+        "wind (10 %) would explain it."
     )
     rougher = words.headline(left(d, 0.5))
     assert rougher.startswith("No effect is named: the error is larger than in the reference flights, 50 cm")
