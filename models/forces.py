@@ -138,14 +138,9 @@ def lag_pole(lag, pwm, v):
 def lag_step(lag, pwm, dt, v):
     """Return the lag [PWM s] after `dt` [s] under a held command, and its mean over the step; exact."""
     # Omega(dt) = Omega_s + (Omega - Omega_s) exp(-lambda dt), Omega_s = PWM/lambda
-    phase = lag_pole(lag, pwm, v) * dt
-    return lag_after(phase, math.exp(-phase), lag, pwm / v.thrust.lag_rate)
-
-
-@inlined
-def lag_after(phase, decay, lag, steady):
-    """Return `lag_step` towards a steady lag [PWM s], by phase = lambda dt and decay = exp(-phase)."""
-    mean = steady + (lag - steady) * (1.0 - decay) / phase
+    rate, steady = lag_pole(lag, pwm, v), pwm / v.thrust.lag_rate
+    decay = math.exp(-rate * dt)
+    mean = steady + (lag - steady) * (1.0 - decay) / (rate * dt)
     return steady + (lag - steady) * decay, mean
 
 

@@ -12,25 +12,23 @@ held between rows and averaged exactly over each step, which makes delays differ
 from __future__ import annotations
 
 import dataclasses
-import math
 from collections.abc import Callable, Sequence
 from operator import attrgetter
 from typing import Any, NamedTuple
 
+import numba
 import numpy as np
 
 from inclined_landing.eval.gap.flights.windows import REQUEST_SIGNS
 from inclined_landing.eval.gap.model.swing import Starts, pulled
 from inclined_landing.models.attitude import PWM, ROLL_COMMAND, YAW_RATE_COMMAND, entries, euler_rates, tilted
 from inclined_landing.models.attitude_loops import angle_steps, integrated_steps, yaw_steps
-from inclined_landing.models.compiled import inlined, unlocked
 from inclined_landing.models.delays import averages
 from inclined_landing.models.forces import (
     AZIMUTH,
     INCLINATION,
     PRESENT,
     ground_effect,
-    lag_after,
     lag_step,
     lags,
     pack,
@@ -93,8 +91,8 @@ def predictor(like, vehicles: Sequence[Vehicle]) -> Callable[[Any], np.ndarray]:
 
     def along(flight) -> np.ndarray:
         out = np.empty((len(vehicles), flight.channels, flight.samples))
-        begun = Starts.none(flight.samples, flight.starts, flight.rows, flight.dt)
         for of_first, own, same in groups:
+            begun = Starts.none(flight.samples, flight.starts, flight.rows, flight.dt)
             _predict(_Measured.of(flight, of_first), packed, own, same, begun, out)
         if flight.requests is not None:
             for vehicle, one in zip(vehicles, out):
@@ -216,7 +214,7 @@ class _Measured(NamedTuple):
         )
 
 
-@unlocked
+@numba.njit(cache=True, nogil=True)
 def _predict(measured, vehicles, own, same, begun, out):
     """Write the predicted pose (6, m) of every vehicle `own` (k,) into out (n, C, m).
 
@@ -262,7 +260,7 @@ def _predict(measured, vehicles, own, same, begun, out):
         predicted[ROLL_CHANNEL:] = angles.T
 
 
-@unlocked
+@numba.njit(cache=True, nogil=True)
 def _turning(attitude):
     """Return the Euler rates (k, 3) of a body rate of 1 rad/s about x, at attitudes (k, 3)."""
     out = np.empty_like(attitude)
@@ -271,7 +269,7 @@ def _turning(attitude):
     return out
 
 
-@inlined
+@numba.njit(cache=True, inline="always")
 def _same_ground(v, w):
     """Return whether two vehicles meet the same ground effect at the same thrust."""
     same = v.effects.ground_effect == w.effects.ground_effect
@@ -285,7 +283,7 @@ def _same_ground(v, w):
     )
 
 
-@unlocked
+@numba.njit(cache=True, nogil=True)
 def _ground(measured, v, near):
     """Write the ground effect of a thrust of 1 N along a flight into near (m - 1, 3), as `wrench_near`."""
     near[:] = 0.0
@@ -299,7 +297,7 @@ def _ground(measured, v, near):
         )
 
 
-@unlocked
+@numba.njit(cache=True, nogil=True)
 def _accelerations(measured, v, near, turning, twist):
     """Return accelerations (m - 1, 3) without gravity's and a load's; write the angles' ones into twist.
 
@@ -308,14 +306,9 @@ def _accelerations(measured, v, near, turning, twist):
     pwm = averages(measured.command[:, PWM], measured.dt, v.effects.thrust_delay + v.effects.mocap_delay)
     out, lag = np.empty_like(measured.velocity), pwm[0] / v.thrust.lag_rate
     velocity, ambient = measured.velocity, measured.ambient
-    phase = v.thrust.lag_rate * measured.dt
-    decay = math.exp(-phase)
     for k in range(len(pwm)):
         u, r = pwm[k], measured.rotation[k]
-        if v.effects.spin_down == 0.0:
-            lag, mean = lag_after(phase, decay, lag, u / v.thrust.lag_rate)
-        else:
-            lag, mean = lag_step(lag, u, measured.dt, v)
+        lag, mean = lag_step(lag, u, measured.dt, v)
         fx, fy, fz, tx, ty = wrench_near(near[k], velocity[k], entries(r), mean, u, ambient[k], v, _NEUTRAL)
         for i in range(3):
             out[k, i] = (r[i, 0] * fx + r[i, 1] * fy + r[i, 2] * fz) / v.body.mass
@@ -326,7 +319,7 @@ def _accelerations(measured, v, near, turning, twist):
     return out
 
 
-@unlocked
+@numba.njit(cache=True, nogil=True)
 def _translate(acceleration, gravity, dt, out):
     """Write positions (3, m) from rest at zero under accelerations (m - 1, 3) without gravity's into out."""
     for i in range(3):
@@ -340,7 +333,7 @@ def _translate(acceleration, gravity, dt, out):
             out[i, k + 1] = moved
 
 
-@unlocked
+@numba.njit(cache=True, nogil=True)
 def _integrals(measured, vehicle):
     """Return the integrals (m, 2) [rad s] of the errors of roll and pitch."""
     v, twist, out = vehicle[0], np.empty_like(measured.velocity), np.empty((len(measured.command), 2))
@@ -353,7 +346,7 @@ def _integrals(measured, vehicle):
     return out
 
 
-@unlocked
+@numba.njit(cache=True, nogil=True)
 def _yaw(measured, vehicle):
     """Return the yaw (m,) by its loop."""
     effects, dt = vehicle[0].effects, measured.dt
@@ -361,7 +354,7 @@ def _yaw(measured, vehicle):
     return yaw_steps(averages(measured.command[:, YAW_RATE_COMMAND], dt, delay), dt, vehicle)
 
 
-@unlocked
+@numba.njit(cache=True, nogil=True)
 def _loop_commands(measured, v):
     """Return what the loops of roll and pitch follow (2, m - 1) [rad]."""
     lean, late = v.effects.estimator_lean, v.effects.mocap_delay + v.effects.estimator_delay

@@ -11,18 +11,16 @@ from __future__ import annotations
 import math
 from typing import NamedTuple
 
+import numba
 import numpy as np
 
-from inclined_landing.models.compiled import unlocked
 from inclined_landing.models.load import LOAD_SIZE, advance
 
 NEARLY = 0.05  # m/s2, accelerations so near lead to a load's start by a single linear step
 STRETCH = 10.0  # s, the longest with one start: air and string damp what is older
 ANGLE = 0.3  # rad, standard deviation of the start's angle; of its rate, times the swing's frequency
 _NUMBERS = 2.0  # independent errors in one channel of a window: they are smooth
-_ROUNDS = 10  # of Levenberg and Marquardt, at most
-_CONVERGED = 0.01  # standard deviations: a shorter step ends these
-_DAMPED = 0.3  # damping after a step that fits worse; below a sixth of it there is none
+_ROUNDS = 3  # of Gauss and Newton
 _STEP = 1e-3  # of differences, in standard deviations
 
 
@@ -43,7 +41,7 @@ class Starts(NamedTuple):
         return Starts(*fitted, np.full(3, np.nan), np.zeros((samples - 1, 3)))
 
 
-@unlocked
+@numba.njit(cache=True, nogil=True)
 def pulled(acceleration, position, starts, rows, dt, vehicle, begun):
     """Return the mean accelerations (m - 1, 3) [m/s2] of a vehicle whose load swings, over a flight's steps.
 
@@ -86,7 +84,7 @@ def pulled(acceleration, position, starts, rows, dt, vehicle, begun):
     return out
 
 
-@unlocked
+@numba.njit(cache=True, nogil=True)
 def stretches(starts, rows, dt):
     """Return where stretches of at most `STRETCH` begin among the windows, and the number of these."""
     found = [0]
@@ -97,7 +95,7 @@ def stretches(starts, rows, dt):
     return np.array(found)
 
 
-@unlocked
+@numba.njit(cache=True, nogil=True)
 def _state(z, spread):
     """Return the state (6,) of a load at the standardised angles and rates z (4,) along x and y."""
     load = np.zeros(LOAD_SIZE)
@@ -108,7 +106,7 @@ def _state(z, spread):
     return load
 
 
-@unlocked
+@numba.njit(cache=True, nogil=True)
 def _swing(acceleration, start, string, out):
     """Write the vehicle's accelerations (k, 3) with a load from `start` (6,) into out."""
     share, length, dt = string
@@ -118,7 +116,7 @@ def _swing(acceleration, start, string, out):
         out[k, 0], out[k, 1], out[k, 2] = advance(load, a[0], a[1], a[2], share, length, dt)
 
 
-@unlocked
+@numba.njit(cache=True, nogil=True)
 def _errors(position, acceleration, loads, starts, rows, string):
     """Return the errors (s, 2 w rows) [m] of x and y in the windows, each without its line.
 
@@ -153,7 +151,7 @@ def _errors(position, acceleration, loads, starts, rows, string):
     return out
 
 
-@unlocked
+@numba.njit(cache=True, nogil=True)
 def _step(errors, z, gain, inverse):
     """Return the step (4,) of Gauss and Newton, to be taken off, at errors (n,)."""
     step = np.zeros(4)
@@ -165,44 +163,24 @@ def _step(errors, z, gain, inverse):
     return step
 
 
-@unlocked
+@numba.njit(cache=True, nogil=True)
 def _start(position, acceleration, starts, rows, spread, string, z, gain, inverse):
     """Write the load's most probable state at the beginning of a stretch of k steps, as of `Starts`.
 
     position (k + 1, 3) [m] measured, acceleration (k, 3) [m/s2] without the load, starts (w,) of the windows.
     """
-    z[:] = 0.0
-    errors, cost = _errors_about(z, position, acceleration, starts, rows, spread, string)
-    damping, eye = 0.0, np.eye(4)
-    for k in range(_ROUNDS):
-        # Minimise 1/2 numbers n/rows log sum e^2 + 1/2 |z|^2 over the n errors, with damping d:
-        #   dz = -(w S S' + 1 + d diag)^-1 (w S e + z),  w = numbers/(rows mean e^2)
-        here, slopes = errors[0], (errors[1:] - errors[0]) / _STEP
-        weight = _NUMBERS / (rows * (here**2).mean() + 1e-12)
-        normal = weight * (slopes @ slopes.T) + eye
-        inverse[:] = np.linalg.inv(normal + damping * normal * eye)
-        gain[:] = inverse @ (weight * slopes)
-        step = _step(here, z, gain, inverse)
-        if np.abs(step).max() < _CONVERGED or k == _ROUNDS - 1:
-            break
-        trial, least = _errors_about(z - step, position, acceleration, starts, rows, spread, string)
-        if least < cost:
-            z -= step
-            errors, cost = trial, least
-            damping = damping / 3.0 if damping > _DAMPED / 6.0 else 0.0
-        else:
-            damping = max(_DAMPED, 3.0 * damping)
-
-
-@unlocked
-def _errors_about(z, position, acceleration, starts, rows, spread, string):
-    """Return the errors (5, n) from the start z (4,) and from a `_STEP` next to it, and the cost of z."""
+    eye = np.eye(4)
     loads = np.empty((5, LOAD_SIZE))
-    loads[0] = _state(z, spread)
-    for i in range(4):
-        near = z.copy()
-        near[i] += _STEP
-        loads[1 + i] = _state(near, spread)
-    errors = _errors(position, acceleration, loads, starts, rows, string)
-    squares = rows * (errors[0] ** 2).mean() + 1e-12
-    return errors, 0.5 * (_NUMBERS * errors.shape[1] / rows * math.log(squares) + (z**2).sum())
+    z[:] = 0.0
+    for _ in range(_ROUNDS):
+        loads[0] = _state(z, spread)
+        for i in range(4):
+            loads[1 + i] = _state(z + _STEP * eye[i], spread)
+        errors = _errors(position, acceleration, loads, starts, rows, string)
+        here, slopes = errors[0], (errors[1:] - errors[0]) / _STEP
+        # Minimise w |e + S dz|^2 + |z + dz|^2,  w = numbers/(rows mean e^2):
+        #   dz = -(w S S' + 1)^-1 (w S e + z)
+        weight = _NUMBERS / (rows * (here**2).mean() + 1e-12)
+        inverse[:] = np.linalg.inv(weight * (slopes @ slopes.T) + eye)
+        gain[:] = inverse @ (weight * slopes)
+        z -= _step(here, z, gain, inverse)
