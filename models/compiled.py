@@ -10,9 +10,9 @@ Numba's cache looks at a function's own file only, not at those of the functions
 files change one by one, compiled functions that are older than what may be compiled into them are removed.
 """
 
+import contextlib
 import gc
 import os
-from collections.abc import Sequence
 from pathlib import Path
 
 import numba
@@ -40,13 +40,10 @@ class _CollectLater(event.Listener):
 event.register("numba:compile", _CollectLater())
 
 
-def remove_outdated(root: Path, floors: Sequence[str] = ("models", "envs", "train", "eval")) -> None:
-    """Remove compiled functions in folders of `root` that are older than a source they may be compiled from.
-
-    floors: the folders, each of which imports only from itself and those before it.
-    """
+def remove_outdated(root: Path) -> None:
+    """Remove compiled functions below `root` that are older than a source they may be compiled from."""
     newest = 0.0
-    for floor in floors:
+    for floor in ("models", "envs", "train", "eval"):  # each imports only from itself and those before it
         indices = []
         for folder, _, names in os.walk(root / floor):
             for path in (os.path.join(folder, name) for name in names):
@@ -63,10 +60,8 @@ def remove_outdated(root: Path, floors: Sequence[str] = ("models", "envs", "trai
 
 _ROOT = Path(__file__).parents[1]
 if (_ROOT / "pyproject.toml").is_file() and "NUMBA_CACHE_DIR" not in os.environ:
-    try:
+    with contextlib.suppress(OSError):  # another process removes them, or nothing can be cached in the clone
         remove_outdated(_ROOT)
-    except OSError:
-        pass  # another process removes them, or the clone cannot be written: then nothing is cached there
 
 _OPTIONS = {"cache": True, "error_model": "numpy", "no_cfunc_wrapper": True}
 

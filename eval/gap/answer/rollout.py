@@ -68,7 +68,7 @@ class RolloutWindows:
     first: np.ndarray  # (n,) row in the flight
     rows: int  # steps of the horizon
     dt: float
-    # What was simulated of them already: plant, vehicle -> pose
+    # Poses that were simulated already, by plant and vehicle.
     _poses: dict[tuple[str, Vehicle], np.ndarray] = dataclasses.field(default_factory=dict, repr=False)
 
     @staticmethod

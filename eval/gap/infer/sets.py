@@ -243,7 +243,7 @@ def _neighbours(problem: Problem, node: FittedSet) -> list[EffectSet]:
 
     Or by two of three that are a combination of each other exchanged for the third.
     """
-    # In the library's order: the order of sets differs from process to process.
+    # Both lists have the library's order, because that of sets differs from process to process.
     held = [n for n in problem.library if n in node.names]
     others = [n for n in problem.library if n not in node.names]
     result = [node.names - {n} for n in held]
