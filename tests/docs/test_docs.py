@@ -84,23 +84,6 @@ def test_pages_for_users_are_short():
     assert sum(any(letter.isdigit() for letter in word) for word in words) < 0.05 * len(words)
 
 
-@pytest.mark.parametrize(
-    "line",
-    [
-        "landing-eval succes landing",
-        "landing-eval success landing --planet hybrid",
-        "FOO=1 nohup landing-train landing --step 5 &",
-        "make dem",
-        "pip install 'inclined-landing[everything]'",
-        "python -m tests.validation gap-blind --set dev --out DIR",
-    ],
-)
-def test_a_wrong_line_is_found(line):
-    with pytest.raises((AssertionError, ValueError)):
-        for words in documents.lines(line):
-            documents.check(words)
-
-
 @pytest.mark.slow
 def test_the_site_builds_without_a_warning(tmp_path, monkeypatch):
     """Strictly: pages and anchors that links lead to, pages that the navigation lacks, names to document."""

@@ -18,6 +18,8 @@ REFUSED = {
     "success hover.zip --vehicle none.toml": "vehicle file none.toml does not exist",
     "success hover.zip --out full": "exists and is not empty",
     "success hover.zip --seed -1": "--seed must be a whole number from 0 to 4294967295, not -1",
+    "success touchdown": "is evaluated by landing-eval touchdown",
+    "fly --simulated --position=gps": "invalid choice 'gps'",
     "benchmark --out full": "exists and is not empty",
     "equivalence --seed -1": "--seed must be a whole number from 0",
     "export none.zip --format c": "does not exist",

@@ -10,12 +10,10 @@ from inclined_landing.envs.policy import load_policy
 from inclined_landing.envs.tasks import TASKS, StepContext, hover_states, make_task
 from inclined_landing.envs.tasks.touchdown import IDLE_ACTION
 from inclined_landing.models.attitude import PITCH, VX, VZ
-from inclined_landing.models.base.errors import UserError
 from inclined_landing.models.plants import make_plant
 from inclined_landing.train import ppo, warm_start
 from inclined_landing.train.config import TrainConfig
 from inclined_landing.train.descent import Descent
-from inclined_landing.train.run import train
 
 TINY = {"environments": 8, "rollout": 16, "batch_size": 64, "epochs": 2, "threads": 1, "evaluate_every": 0}
 
@@ -55,21 +53,6 @@ def test_the_law_comes_in_uphill():
         env.step(law(StepContext(env.plant.state, platform=env.plant.platform), -1.0), np.isnan(speed))
         speed = np.where(np.isnan(speed) & env.touched, before, speed)
     assert not np.isnan(speed).any() and np.median(speed) > 0.3
-
-
-@pytest.mark.parametrize(("options", "sentence"), [
-    ({"task": "landing", "start_from": "setpoint"}, "trained for the task setpoint, not for landing"),
-    ({"task": "setpoint", "start_from": "landing"}, "trained for the task landing, not for setpoint"),
-    ({"start_from": "none.zip"}, "policy none.zip does not exist"),
-    ({"task": "touchdown", "plant": "analytic"}, "needs the MuJoCo plant"),
-    ({"task": "touchdown", "curriculum": "none"}, "it must be touchdown"),
-    ({"task": "touchdown", "nominal": True, "pwm_centre": "paper"},
-     "can only continue policies with its pwm_centre"),
-])  # fmt: skip
-def test_wrong_input(tmp_path, options, sentence):
-    with pytest.raises(UserError, match=sentence):
-        train(TrainConfig(out=tmp_path / "run", steps=512, **(TINY | options)))
-    assert not list(tmp_path.rglob("*.zip"))
 
 
 def test_in_space_it_begins_with_the_law_and_in_the_plane_with_a_landing():

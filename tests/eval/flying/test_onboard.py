@@ -96,16 +96,8 @@ def test_a_deck_that_goes_blind_ends_the_flight(tmp_path, capsys):
     assert "no position" in capsys.readouterr().out
 
 
-@pytest.mark.parametrize(
-    ("words", "said"),
-    [
-        (["--position=onboard", "--mocap=vicon:a:b"], "--mocap has no effect with"),
-        (["--position=gps"], "invalid choice 'gps'"),
-        (["--position=onboard", "--heading=0"], "--heading has no effect with"),
-        (["--fault=deck-blind"], "deck-blind needs --position onboard"),
-    ],
-)
-def test_what_cannot_be_flown_by_it_is_one_sentence(words, said, tmp_path, capsys):
-    assert cli.main(["fly", "--simulated", *words, "--out", str(tmp_path / "out")]) == 2
+def test_a_deck_that_the_vehicle_does_not_fly_by_cannot_fail(tmp_path, capsys):
+    assert cli.main(["fly", "--simulated", "--fault=deck-blind", "--out", str(tmp_path / "out")]) == 2
     told = capsys.readouterr().err
-    assert said in told and told.count("\n") == 1 and not (tmp_path / "out").exists()
+    assert "deck-blind needs --position onboard" in told and told.count("\n") == 1
+    assert not (tmp_path / "out").exists()

@@ -6,7 +6,6 @@ import pytest
 from inclined_landing.envs.policy import load_policy
 from inclined_landing.envs.tasks import frozen, hover_states
 from inclined_landing.envs.tasks.touchdown import InclinedTouchdown
-from inclined_landing.eval import cli
 from inclined_landing.eval.study import motor_cut, show
 from inclined_landing.eval.study.engine import run
 
@@ -74,8 +73,3 @@ def test_effects_are_the_vehicles_that_fly(few_starts):
     assert of(motor_cut.OWN, results, effect="friction")["at_rest"]["count"] < 2
     assert of(motor_cut.OWN, results, effect="com_offset")["at_rest"]["count"] < 3
     show.show([results])
-
-
-def test_success_sends_touchdown_policies_here(capsys):
-    assert cli.main(["success", "touchdown"]) == 2
-    assert "is evaluated by landing-eval touchdown" in capsys.readouterr().err
