@@ -27,7 +27,8 @@ from inclined_landing.models.vehicle import Vehicle
 
 WORDS = Words(__package__)  # with the tolerances
 GRIP = 1.6  # friction that holds the vehicle on every supported slope (tan 50 deg = 1.19)
-FALL = 0.6  # s of a random drop
+FALL = 0.6  # s of a random drop, unless it is decided before
+HELD = 2.0 * contact.CONTACT_TIME[1]  # s; no contact spring holds energy for as long
 STUDY_TIME = 0.02  # s, contact time of the settings that are compared
 FASTEST = contact.FASTEST  # m/s
 RESTITUTIONS = (0.0, 0.1, 0.2, 0.3, 0.4, 0.5, 0.6)
@@ -221,10 +222,7 @@ def tumbling(vehicle: Vehicle, n: int = 100, dropped: int = 1000) -> Section:
     for i, setting in enumerate(settings):
         for j, speed in enumerate(speeds):
             spring = {} if setting is None else {"restitution": setting, "contact_time": STUDY_TIME}
-            falling = fall_at(vehicle, np.full(n, speed), slope, spring)
-            energies = energy(advance(falling.plant, FALL), vehicle)
-            scale = 0.5 * vehicle.body_mass * speed**2
-            gain = (energies.max(axis=0) - energies[0]) / scale
+            gain, _ = follow(fall_at(vehicle, np.full(n, speed), slope, spring))
             growth[i, j], share[i, j] = gain.max(), (gain > 0.01).mean()
     rng = np.random.default_rng(1)
     slope = -rng.uniform(0.0, vehicle.platform_max_inclination, dropped)
@@ -239,7 +237,7 @@ def tumbling(vehicle: Vehicle, n: int = 100, dropped: int = 1000) -> Section:
         "moving_through": (spring, "moving slab"),
     }
     through = {
-        key: int(passed(fall_at(vehicle, speed, slope, setting, onto)).sum())
+        key: int(follow(fall_at(vehicle, speed, slope, setting, onto))[1].sum())
         for key, (setting, onto) in kinds.items()
     }
     return _section(
@@ -250,7 +248,7 @@ def tumbling(vehicle: Vehicle, n: int = 100, dropped: int = 1000) -> Section:
             "springiest": 100 * float(share[-1].max()),
             **through,
         },
-        {"n": n, "dropped": dropped, "fastest": FASTEST},
+        {"n": n, "dropped": dropped, "fastest": FASTEST, "held": 1e3 * HELD},
         data={
             "speeds": speeds,
             "settings": [s if s is not None else "default" for s in settings],
@@ -266,9 +264,19 @@ class Falling:
     """Vehicles that fly at surfaces in random attitudes and spins; arrays of n rows."""
 
     plant: MujocoPlant
+    speed: np.ndarray  # (n,) m/s into the surface
     point: np.ndarray  # (n, 3) m, on the surface, at which the vehicle flies
     normal: np.ndarray  # (n, 3) of the surface
     rising: np.ndarray  # (n, 3) m/s, velocity of the surface
+
+    def relative(self, ids: np.ndarray, time: float) -> np.ndarray:
+        """Return the present states (k, 13) of the vehicles `ids`, `time` [s] after the start, less the
+        surface's motion since then.
+        """
+        state, rising = self.plant.state[ids], self.rising[ids]
+        state[:, :3] -= rising * time
+        state[:, VX : VZ + 1] -= rising
+        return state
 
 
 def fall_at(
@@ -299,31 +307,34 @@ def fall_at(
     state[:, :3] = point + normal * 0.075
     state[:, VX : VZ + 1] = rising - normal * speed[:, None]
     plant.reset(ids, state)
-    return Falling(plant, point, normal, rising)
+    return Falling(plant, speed, point, normal, rising)
 
 
-def passed(falling: Falling) -> np.ndarray:
-    """Return which vehicles are behind the surface within FALL (n,), near where they flew at it.
+def follow(falling: Falling) -> tuple[np.ndarray, np.ndarray]:
+    """Return the largest gains of energy (n,), as shares of the impact's, and (n,) which vehicles passed.
 
-    Each is followed until it has passed, or cannot any more.
+    Energy is that of motion relative to the surface, and of height. A vehicle has passed if it is behind the
+    surface, near where it flew at it. Each is followed for FALL, or until it has passed, or until it has been
+    above the surface for HELD with half of its impact's energy lost: it returns with less than it came with.
     """
-    plant, steps = falling.plant, round(FALL / STEP)
-    behind, active, off = np.zeros(plant.n, bool), np.arange(plant.n), np.zeros((plant.n, 4))
-    for k in range(1, steps + 1):
+    plant, vehicle, n = falling.plant, falling.plant.vehicle, falling.plant.n
+    gain, passed, spent, off = np.zeros(n), np.zeros(n, bool), np.zeros(n), np.zeros((n, 4))
+    impact = 0.5 * vehicle.body_mass * falling.speed**2
+    active = np.arange(n)
+    begun = energy(falling.relative(active, 0.0), vehicle)
+    for k in range(1, round(FALL / STEP) + 1):
         plant.advance(off, active)
         plant.check()
-        normal, rising, state = falling.normal[active], falling.rising[active], plant.state[active]
-        away = state[:, :3] - falling.point[active] - rising * STEP * k
+        state, normal = falling.relative(active, STEP * k), falling.normal[active]
+        gained = (energy(state, vehicle) - begun[active]) / impact[active]
+        gain[active] = np.maximum(gain[active], gained)
+        away = state[:, :3] - falling.point[active]
         height = (away * normal).sum(axis=1)
         aside = np.linalg.norm(away - height[:, None] * normal, axis=1)
-        above, beside = height + plant.vehicle.platform_thickness, aside - 0.2
-        behind[active] = (above < 0.0) & (beside < 0.0)
-        # In the time that is left it moves by at most v t + g t^2/2, with a tenth more speed than it has.
-        left, speed = (steps - k) * STEP, np.linalg.norm(state[:, VX : VZ + 1] - rising, axis=1)
-        reach = 1.1 * speed * left + 0.5 * plant.vehicle.environment_gravity * left**2
-        there = np.hypot(np.maximum(above, 0.0), np.maximum(beside, 0.0)) <= reach
-        active = active[there & ~behind[active]]
-    return behind
+        passed[active] = (height < -vehicle.platform_thickness) & (aside < 0.2)
+        spent[active] = np.where((gained < -0.5) & (height > 0.0), spent[active] + STEP, 0.0)
+        active = active[~passed[active] & (spent[active] < HELD)]
+    return gain, passed
 
 
 def parts(vehicle: Vehicle) -> Section:
