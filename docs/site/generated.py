@@ -57,7 +57,7 @@ def commands() -> str:
                     "[`landing-train sweep`](#landing-train-sweep)",
                     "Run the command lines of a recipe for every seed.",
                 ],
-                *([f"[`landing-eval {name}`](#{name})", line] for name, (_, line) in cli.COMMANDS.items()),
+                *([f"[`landing-eval {name}`](#{name})", cli.summary(name)] for name in cli.COMMANDS),
             ],
         ),
         _section("landing-train", help_page(TrainConfig, "landing-train")),

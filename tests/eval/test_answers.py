@@ -97,7 +97,9 @@ def test_a_sentence_says_what_came_out(line, outcome, tmp_path, monkeypatch, cap
     if "/run" in line:
         printed("train setpoint --steps 4096 --no-report --out {place}/run", tmp_path, capsys)
     out, _ = printed(line, tmp_path, capsys)
-    if COMMANDS.get(line.split()[0], ("",))[0] == "study" or line == "benchmark":  # the answer comes first
+    if (
+        COMMANDS.get(line.split()[0], "").startswith("study.") or line == "benchmark"
+    ):  # the answer comes first
         assert re.search(f"{outcome}$", out[: out.index("\n  ")], re.MULTILINE), out
     else:
         assert re.search(f"{outcome}$", out.splitlines()[-1]), out

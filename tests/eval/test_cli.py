@@ -45,7 +45,7 @@ for words in ["--help-all"], ["--sed", "3"], ["sweep", "landing", "--sed", "3"]:
 """
     done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True)
     assert done.returncode == 0, done.stderr
-    assert all(name in done.stdout for names in cli.GROUPS.values() for name in names)
+    assert all(name in done.stdout for name in (*cli.GROUPS, *cli.COMMANDS))
 
 
 @pytest.mark.parametrize("name", cli.COMMANDS)
@@ -53,7 +53,7 @@ def test_a_command_and_its_module_are_called_alike(name):
     command = cli.find(name)
     module = command.__module__.removesuffix(".command")
     assert command.__name__ == "command" and module.endswith("." + name.replace("-", "_"))
-    assert command.__doc__.splitlines()[0] == cli.COMMANDS[name][1]
+    assert command.__doc__.splitlines()[0] == cli.summary(name)
 
 
 @pytest.mark.parametrize(("words", "sentence"), [
