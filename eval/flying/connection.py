@@ -14,8 +14,7 @@ from inclined_landing.eval.flying.interfaces import FlightClock, MotionCapture, 
 from inclined_landing.eval.flying.pilot import Pilot
 from inclined_landing.eval.flying.plan import FlightPlan
 from inclined_landing.eval.flying.simulated.faults import Fault
-from inclined_landing.eval.flying.simulated.flight import fly_simulated
-from inclined_landing.eval.flying.simulated.world import Setting
+from inclined_landing.eval.flying.simulated.world import URI, Setting, World
 from inclined_landing.eval.flying.vehicle import CflibLink, Radio
 from inclined_landing.eval.flying.watchdog import DeadManSwitch
 from inclined_landing.models.base.errors import UserError, not_installed
@@ -23,7 +22,7 @@ from inclined_landing.models.base.errors import UserError, not_installed
 CHECK_ATTEMPTS = 3  # times that the checks may take: a second without a glimpse of the markers can happen
 ARM_WORD = "arm"  # typed before the motors may turn
 VIRTUAL_PATIENCE = 20.0  # s of real time that a control step may take while the flight's time is simulated
-Connected = tuple[Radio, FlightClock, MotionCapture]
+Connected = tuple[Radio, FlightClock, MotionCapture | None]  # None: the vehicle measures its position
 
 
 @dataclasses.dataclass(frozen=True)
@@ -37,13 +36,12 @@ class SimulatedConnection:
     confirms: bool = False  # must somebody type a word before the motors turn
 
     def connect(self, k: int, plan: FlightPlan, dry: bool) -> Connected:
-        """Return radio, clock and positions of a new vehicle."""
+        """Return radio, clock and motion capture of a new vehicle."""
         seed = int(np.random.SeedSequence((self.seed, k)).generate_state(1)[0])
-        flight = fly_simulated(self.setting, seed=seed, faults=self.faults)
-        radio = Radio(flight.link, flight.clock, plan.vehicle.command_angle_limit, dry=dry)
-        radio.connect(flight.uri)
-        capture = None if self.setting.lighthouse else flight.motion_capture
-        return radio, flight.clock, _positions(radio, capture)
+        world = World(self.setting, seed=seed, faults=self.faults)
+        radio = Radio(world.link, world, plan.vehicle.command_angle_limit, dry=dry)
+        radio.connect(URI)
+        return radio, world, None if self.setting.lighthouse else world.view
 
     def dead_man_switch(self) -> None:
         """Return None: the vehicle ends with this process."""
@@ -65,7 +63,7 @@ class RealConnection:
         cflib.crtp.init_drivers()
 
     def connect(self, k: int, plan: FlightPlan, dry: bool) -> Connected:
-        """Return radio, clock and positions of the vehicle, which the user puts back before every flight."""
+        """Return radio, clock and motion capture; the user puts the vehicle back before every further flight."""
         from cflib.crazyflie import Crazyflie
 
         if k > 0:
@@ -74,7 +72,7 @@ class RealConnection:
                 raise UserError("standard input is closed, so no one can confirm the vehicle's position")
         radio = Radio(CflibLink(Crazyflie()), self._clock, plan.vehicle.command_angle_limit, dry=dry)
         radio.connect(self.uri)
-        return radio, self._clock, _positions(radio, self._capture)
+        return radio, self._clock, self._capture
 
     def dead_man_switch(self) -> DeadManSwitch:
         """Return the context in which another process stops the motors if this one dies."""
@@ -84,25 +82,15 @@ class RealConnection:
 Connection = SimulatedConnection | RealConnection
 
 
-def _positions(radio: Radio, capture: MotionCapture | None) -> MotionCapture:
-    """Return the motion capture or the vehicle's own position; if there is none, close the link."""
-    if capture is not None:
-        return capture
-    try:
-        return radio.onboard_position()
-    except UserError:
-        radio.close()
-        raise
-
-
 @contextlib.contextmanager
 def checked_pilot(connection: Connection, k: int, plan: FlightPlan, dry: bool) -> Iterator[Pilot]:
     """Yield the pilot of flight k once its preflight checks have passed and the user has armed it.
 
     Raises UserError if a check fails.
     """
-    radio, clock, mocap = connection.connect(k, plan, dry)
+    radio, clock, capture = connection.connect(k, plan, dry)
     try:
+        mocap = capture or radio.onboard_position()
         switch = None if dry else connection.dead_man_switch()
         guarded = (lambda: True) if switch is None else switch.watches
         pilot = Pilot(radio, clock, mocap, plan, hang_limit=connection.hang_limit, guarded=guarded)

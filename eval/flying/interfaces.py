@@ -1,7 +1,8 @@
 """The interfaces between a pilot and its vehicle: a clock, a motion capture and a radio link.
 
-Each has two implementations: the real clock sleeps, real cameras stream and cflib sends; the simulated clock
-advances the simulated vehicle, which provides motion capture and link.
+Each has two implementations, whose methods have the meaning stated here: the real clock sleeps, real cameras
+stream and cflib sends; the simulated clock advances the simulated vehicle, which provides motion capture and
+link.
 """
 
 from __future__ import annotations
@@ -30,15 +31,13 @@ class FlightClock(Protocol):
         ...
 
 
-class RealClock:
+class RealClock(FlightClock):
     """The machine's monotonic clock [s]."""
 
     def now(self) -> float:
-        """Return the present time [s]."""
         return time.monotonic()
 
     def wait_until(self, moment: float) -> None:
-        """Sleep until `moment` [s]."""
         time.sleep(max(0.0, moment - time.monotonic()))
 
 

@@ -69,7 +69,7 @@ def open_capture(name: str, clock: FlightClock, latency: float = 0.0) -> MotionC
     return tracked
 
 
-class TrackedBody:
+class TrackedBody(MotionCapture):
     """One rigid body of a motion capture system.
 
     system: has `waitForNextFrame()` and `rigidBodies`, as in the library; latency [s]: of the system, from
@@ -88,7 +88,6 @@ class TrackedBody:
         atexit.register(self.close)  # a thread in the library's code would abort the interpreter's end
 
     def latest(self) -> MeasuredPose | None:
-        """Return the newest pose; None before the first one."""
         return self._pose
 
     def await_first(self) -> None:
@@ -121,15 +120,14 @@ class TrackedBody:
                 self._first.set()
 
 
-class OnboardPosition:
-    """A `MotionCapture` from the position that a Lighthouse deck measures, in the frame of the arena."""
+class OnboardPosition(MotionCapture):
+    """The position that a Lighthouse deck measures, in the frame of the arena."""
 
     def __init__(self):
         self._pose: MeasuredPose | None = None
         self._believed = False
 
     def latest(self) -> MeasuredPose | None:
-        """Return the newest pose; None before the first one."""
         return self._pose
 
     def add_position(self, time: float, position: np.ndarray) -> None:

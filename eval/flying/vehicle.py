@@ -74,7 +74,7 @@ class Status:
     locked: bool  # by its supervisor; False where the firmware does not tell
 
 
-class CflibLink:
+class CflibLink(Link):
     """cflib's `Crazyflie` as a `Link`. Its callbacks run in cflib's own thread."""
 
     def __init__(self, crazyflie: Any):
@@ -90,15 +90,12 @@ class CflibLink:
             caller.add_callback(react)
 
     def open(self, uri: str) -> None:
-        """Begin to connect to a vehicle."""
         self.crazyflie.open_link(uri)
 
     def parameter(self, name: str) -> float:
-        """Return a parameter of the firmware. Raises KeyError for firmware without it."""
         return float(self.crazyflie.param.get_value(name))
 
     def log(self, name: str, period: int, variables: Sequence[str], arrived: Arrived) -> None:
-        """Log variables every `period` [ms]. Raises KeyError for firmware without one of them."""
         from cflib.crazyflie.log import LogConfig
 
         config = LogConfig(name, period)
@@ -110,27 +107,21 @@ class CflibLink:
         self._logs.append(config)
 
     def arm(self) -> None:
-        """Request arming."""
         self.crazyflie.supervisor.send_arming_request(True)
 
     def setpoint(self, roll: float, pitch: float, yaw_rate: float, thrust: int) -> None:
-        """Send a set-point [deg, deg, deg/s, 0 to 65535]."""
         self.crazyflie.commander.send_setpoint(roll, pitch, yaw_rate, thrust)
 
     def notice(self) -> None:
-        """Feed the firmware's emergency watchdog."""
         self.crazyflie.supervisor.send_emergency_stop_watchdog()
 
     def stop(self) -> None:
-        """Send the set-point that stops the motors."""
         self.crazyflie.commander.send_stop_setpoint()
 
     def emergency_stop(self) -> None:
-        """Stop the motors and lock the vehicle."""
         self.crazyflie.supervisor.send_emergency_stop()
 
     def close(self) -> None:
-        """End the logs and the connection; ignores errors."""
         for log in self._logs:
             with contextlib.suppress(Exception):
                 log.stop()

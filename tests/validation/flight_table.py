@@ -33,8 +33,7 @@ from inclined_landing.eval.flying.report import FlightReport
 from inclined_landing.eval.flying.simulated import firmware
 from inclined_landing.eval.flying.simulated.body import named_vehicle
 from inclined_landing.eval.flying.simulated.faults import DEAD_MAN_DELAY, FAULTS, Fault
-from inclined_landing.eval.flying.simulated.flight import fly_simulated
-from inclined_landing.eval.flying.simulated.world import Setting, Trace
+from inclined_landing.eval.flying.simulated.world import URI, Setting, Trace, World
 from inclined_landing.eval.flying.vehicle import Radio
 from inclined_landing.models.attitude import PITCH, PWM, VX, VZ, X, Z, rotations
 from inclined_landing.models.base import storage
@@ -228,11 +227,11 @@ def fly_once(plan: FlightPlan, setting: Setting, seed: int, case: Case | None = 
     in_landing = (seed % 2 == 1 and name != "setpoint-nan") or name == "policy-nan"
     after = float(np.random.default_rng((seed, 1)).uniform(*(LANDING if in_landing else APPROACH)))
     fault = Fault(name, "air", after) if name in FAULTS else None
-    flight = fly_simulated(setting, seed=seed, faults=[fault] if fault and not in_landing else [])
-    world, began = flight.world, []
+    world = World(setting, seed=seed, faults=[fault] if fault and not in_landing else [])
+    began = []
 
     def happen() -> None:
-        began.append(flight.clock.now())
+        began.append(world.now())
 
     def interrupt() -> None:
         """Interrupt the pilot as a signal would, whatever it waits in."""
@@ -248,10 +247,10 @@ def fly_once(plan: FlightPlan, setting: Setting, seed: int, case: Case | None = 
         plan = dataclasses.replace(plan, landing=_failing(plan.landing, calls, happen))
     elif name == "setpoint-nan":
         plan = dataclasses.replace(plan, setpoint=_failing(plan.setpoint, calls, happen))
-    radio = Radio(flight.link, flight.clock, plan.landing.task.vehicle.command_angle_limit)
+    radio = Radio(world.link, world, plan.landing.task.vehicle.command_angle_limit)
     try:
-        radio.connect(flight.uri)
-        pilot = Pilot(radio, flight.clock, flight.motion_capture, plan, say=say, hang_limit=_PATIENCE)
+        radio.connect(URI)
+        pilot = Pilot(radio, world, world.view, plan, say=say, hang_limit=_PATIENCE)
         for _ in range(_TRIES):
             failed = [f"{check.name}: {check.found}" for check in pilot.check() if not check.passed]
             if not failed:
@@ -265,7 +264,7 @@ def fly_once(plan: FlightPlan, setting: Setting, seed: int, case: Case | None = 
             raise KeyboardInterrupt  # of this program itself, which the pilot turned into a report
     finally:
         radio.close()
-    world.advance(world.time + AFTER)
+    world.wait_until(world.time + AFTER)
     began += [moment for moment, _ in world.begun_faults]
     return Flown(seed, _plain(report), truth_of(world.trace, plan), began[0] if began else None)
 

@@ -7,7 +7,7 @@ import dataclasses
 import mujoco
 import numpy as np
 
-from inclined_landing.eval.flying.interfaces import MeasuredPose
+from inclined_landing.eval.flying.interfaces import MeasuredPose, MotionCapture
 
 
 @dataclasses.dataclass(frozen=True)
@@ -63,8 +63,8 @@ class CameraQuality:
     dropout_length: float = 0.03  # s, mean of an exponential
 
 
-class SimulatedMotionCapture:
-    """The simulated `MotionCapture`, with its faults.
+class SimulatedMotionCapture(MotionCapture):
+    """The simulated motion capture, with its faults.
 
     blind: no pose; frozen: the last pose repeatedly, with new times; stuck: a constant position with new
     noise; shift (3,) [m]: another marker is mistaken for the vehicle's; turned: the attitude is reversed.
@@ -81,7 +81,6 @@ class SimulatedMotionCapture:
         self._pose: MeasuredPose | None = None
 
     def latest(self) -> MeasuredPose | None:
-        """Return the newest pose that has arrived."""
         return self._pose
 
     def expose(

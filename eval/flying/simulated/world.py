@@ -1,7 +1,14 @@
 """Everything except the pilot: vehicle, firmware, radio, cameras and faults, on one time axis.
 
-The caller advances the time. All random numbers come from one seed, so that a flight repeats bit for bit if
-the pilot does.
+The caller advances the time, and packets are delivered in its thread. Setting up (connecting, parameters,
+logs) takes no time and loses no packets. All random numbers come from one seed, so that a flight repeats bit
+for bit if the pilot does.
+
+    world = World(seed=7)
+    radio = Radio(world.link, world, angle_limit=0.5)
+    radio.connect(URI)
+    radio.arm()
+    world.wait_until(world.now() + 0.02)
 """
 
 from __future__ import annotations
@@ -15,7 +22,7 @@ from collections.abc import Callable, Sequence
 
 import numpy as np
 
-from inclined_landing.eval.flying.interfaces import Arrived
+from inclined_landing.eval.flying.interfaces import Arrived, FlightClock, Link
 from inclined_landing.eval.flying.positions import LIGHTHOUSE
 from inclined_landing.eval.flying.simulated.body import FLOOR, Body
 from inclined_landing.eval.flying.simulated.faults import (
@@ -38,6 +45,7 @@ from inclined_landing.models.base.errors import UserError
 from inclined_landing.models.parameters import load_vehicle
 from inclined_landing.models.vehicle import Vehicle
 
+URI = "simulated://0"
 BOOT = 1.0  # s from switching on until somebody connects
 
 
@@ -77,14 +85,14 @@ class LogBlock:
     next: float  # s
 
 
-class World:
-    """A simulated Crazyflie with its surroundings, from the moment it is switched on.
+class World(FlightClock):
+    """A simulated Crazyflie on the floor with its surroundings, from the moment it is switched on.
 
-    on_link_lost is called with a reason when the link is given up. Raises UserError for an impossible
-    setting.
+    It is the clock of its flight: waiting advances it. Raises UserError for an impossible setting.
     """
 
-    def __init__(self, setting: Setting, seed: int, faults: Sequence[Fault] = ()):
+    def __init__(self, setting: Setting | None = None, *, seed: int, faults: Sequence[Fault] = ()):
+        setting = setting or Setting()
         seeds = np.random.SeedSequence(seed).spawn(7)
         generators = (np.random.default_rng(s) for s in seeds)
         up, down, seen, specific_force, self.random, start, positions = generators
@@ -107,8 +115,8 @@ class World:
         self.firmware = Firmware()
         self.deck = Lighthouse(self.body, positions) if setting.lighthouse else None
         self.sensors = OnboardSensors(self.body, lambda: self.firmware, specific_force, self.deck)
+        self.link = SimulatedLink(self)
         self.time = 0.0
-        self.on_link_lost: Callable[[str], None] = lambda reason: None
         self.thrust = 0.0  # the thrust commanded to the motors
         self._queue: list[tuple[float, int, Callable[[], object]]] = []
         self._count = itertools.count()
@@ -118,7 +126,7 @@ class World:
         self.begun_faults: list[tuple[float, str]] = []  # faults so far: when, which
         self._flown = False
         self._rows: list[tuple] = []
-        self.advance(BOOT)
+        self.wait_until(BOOT)
         self._trigger("start")
 
     @property
@@ -146,12 +154,15 @@ class World:
         """Whether packets get through both ways."""
         return not (self.up.down or self.down.down)
 
-    def advance(self, until: float) -> None:
-        """Advance to `until` [s], executing everything that is due meanwhile in order."""
+    def now(self) -> float:
+        return self.time
+
+    def wait_until(self, moment: float) -> None:
+        """Advance to `moment` [s], executing everything that is due meanwhile in order."""
         while True:
             queued = self._queue[0][0] if self._queue else math.inf
             due = min(queued, self._frame, *(block.next for block in self.logs))
-            if due > until:
+            if due > moment:
                 break
             self._run(due)
             self.time = max(self.time, due)
@@ -163,8 +174,8 @@ class World:
                 for block in self.logs:
                     if block.next <= due + 1e-9:
                         self._send_log(block, due)
-        self._run(until)
-        self.time = max(self.time, until)
+        self._run(moment)
+        self.time = max(self.time, moment)
 
     # --- what happens ----------------------------------------------------------------------------
 
@@ -219,7 +230,7 @@ class World:
         """Block all packets; report it as cflib's radio driver does without acknowledgements."""
         self.up.down = self.down.down = True
         end = self.time + self.up.link.attempts * self.up.link.again
-        self.schedule(end, lambda: self.on_link_lost("Too many packets lost"))
+        self.schedule(end, self.link.give_up)
 
     # --- what happens by itself ------------------------------------------------------------------
 
@@ -271,3 +282,48 @@ class World:
         for fault in [f for f in self._waiting if f.event == event]:
             self._waiting.remove(fault)
             self.schedule(self.body.time + fault.after, functools.partial(self.begin, fault))
+
+
+class SimulatedLink(Link):
+    """The link to the vehicle of a world."""
+
+    def __init__(self, world: World):
+        self.connected = False
+        self.lost: str | None = None
+        self._world = world
+
+    def open(self, uri: str) -> None:
+        if self._world.link_up:
+            self.connected = True
+        else:
+            self.give_up()
+
+    def parameter(self, name: str) -> float:
+        return self._world.parameters[name]
+
+    def log(self, name: str, period: int, variables: Sequence[str], arrived: Arrived) -> None:
+        self._world.log(variables, 1e-3 * period, arrived)
+
+    def arm(self) -> None:
+        self._world.send(lambda time: self._world.firmware.request_arming(True))
+
+    def setpoint(self, roll: float, pitch: float, yaw_rate: float, thrust: int) -> None:
+        # Packed as the floats roll, -pitch, yaw rate (`Commander.send_setpoint`).
+        r, p, y = np.array([roll, -pitch, yaw_rate], np.float32).tolist()
+        self._world.send(lambda time: self._world.firmware.receive_rpyt(time, r, p, y, thrust))
+
+    def notice(self) -> None:
+        self._world.send(lambda time: self._world.firmware.notice(time))
+
+    def stop(self) -> None:
+        self._world.send(lambda time: self._world.firmware.receive_stop(time))
+
+    def emergency_stop(self) -> None:
+        self._world.send(lambda time: self._world.firmware.stop_now())
+
+    def close(self) -> None:
+        self._world.logs.clear()
+
+    def give_up(self) -> None:
+        """Report the link as lost, in the words of cflib's radio driver."""
+        self.lost = "Too many packets lost"

@@ -15,9 +15,8 @@ from cflib.crtp.crtpstack import CRTPPacket
 
 from inclined_landing.eval import cli
 from inclined_landing.eval.flying import vehicle, watchdog
-from inclined_landing.eval.flying.simulated.flight import fly_simulated
 from inclined_landing.eval.flying.simulated.transport import LinkQuality
-from inclined_landing.eval.flying.simulated.world import Setting
+from inclined_landing.eval.flying.simulated.world import Setting, World
 from inclined_landing.eval.flying.vehicle import UDEV, CflibLink, Radio, check_uri
 from inclined_landing.models.base.errors import UserError
 
@@ -65,10 +64,10 @@ def test_a_set_point_is_packed_as_the_simulated_vehicle_receives_it(sending):
     link.setpoint(3.3, -7.1, 20.0, 41_000)
     port, channel, data = packets.pop()
     assert (port, channel) == (3, 0) and data == struct.pack("<fffH", 3.3, 7.1, 20.0, 41_000)
-    flight, received = fly_simulated(Setting(link=LinkQuality(lost=0.0)), seed=1), []
-    flight.world.firmware.receive_rpyt = lambda time, *values: received.append(values)
-    flight.link.setpoint(3.3, -7.1, 20.0, 41_000)
-    flight.clock.wait_until(flight.clock.now() + 0.1)
+    world, received = World(Setting(link=LinkQuality(lost=0.0)), seed=1), []
+    world.firmware.receive_rpyt = lambda time, *values: received.append(values)
+    world.link.setpoint(3.3, -7.1, 20.0, 41_000)
+    world.wait_until(world.now() + 0.1)
     assert received == [struct.unpack("<fffH", data)]
 
 

@@ -9,8 +9,8 @@ import pytest
 from inclined_landing.eval import cli
 from inclined_landing.eval.flying import positions
 from inclined_landing.eval.flying.positions import OnboardPosition
-from inclined_landing.eval.flying.simulated.flight import fly_simulated
 from inclined_landing.eval.flying.simulated.sensors import LATE, NOISE, OFFSET, SCALE, Lighthouse
+from inclined_landing.eval.flying.simulated.world import URI, World
 from inclined_landing.eval.flying.vehicle import Radio
 from inclined_landing.models.base.errors import UserError
 
@@ -73,9 +73,9 @@ def test_positions_are_believed_while_the_filter_knows_its_velocity():
 
 
 def test_a_vehicle_without_the_deck_cannot_fly_by_it():
-    flight = fly_simulated(seed=1)
-    radio = Radio(flight.link, flight.clock, 0.5)
-    radio.connect(flight.uri)
+    world = World(seed=1)
+    radio = Radio(world.link, world, 0.5)
+    radio.connect(URI)
     with pytest.raises(UserError, match="no deck that measures its position"):
         radio.onboard_position()
 

@@ -26,8 +26,7 @@ from inclined_landing.eval.flying.plan import FlightPlan, PlannedFlight, read_pl
 from inclined_landing.eval.flying.positions import TrackedBody, open_capture
 from inclined_landing.eval.flying.report import FlightReport, describe_all
 from inclined_landing.eval.flying.safety import Phase
-from inclined_landing.eval.flying.simulated.flight import fly_simulated
-from inclined_landing.eval.flying.simulated.world import Setting
+from inclined_landing.eval.flying.simulated.world import URI, Setting, World
 from inclined_landing.eval.flying.vehicle import Radio
 from inclined_landing.eval.flying.watchdog import Watchdog
 from inclined_landing.eval.gap.flights.windows import prepare
@@ -49,19 +48,19 @@ def policies():
 
 def flown(policies, tmp_path=None, *, dry=False, setting=SETTING, start=NEAR, seed=1, before=None, **options):
     """A flight: pilot, report, world. before: called with the pilot before it flies."""
-    flight = fly_simulated(setting, seed=seed)
+    world = World(setting, seed=seed)
     plan = FlightPlan(*policies, start)
-    radio = Radio(flight.link, flight.clock, plan.vehicle.command_angle_limit, dry=dry)
-    radio.connect(flight.uri)
+    radio = Radio(world.link, world, plan.vehicle.command_angle_limit, dry=dry)
+    radio.connect(URI)
     options = {"say": lambda line: None, "hang_limit": 30.0} | options
-    pilot = Pilot(radio, flight.clock, flight.motion_capture, plan, **options)
+    pilot = Pilot(radio, world, world.view, plan, **options)
     assert all(check.passed for check in pilot.check())
     if before is not None:
         before(pilot)
     with contextlib.nullcontext() if tmp_path is None else FlightLogWriter(tmp_path / "flight.csv") as log:
         report = pilot.fly(log)
     radio.close()
-    return pilot, report, flight.world
+    return pilot, report, world
 
 
 def broken(policy, answer):
@@ -319,22 +318,22 @@ def test_a_dry_run_moves_nothing(policies, monkeypatch):
 
 
 def test_checks_refuse_what_must_not_fly(policies):
-    def failed(change=lambda flight: None, **plan):
-        flight = fly_simulated(SETTING, seed=3)
-        radio = Radio(flight.link, flight.clock, 0.5)
-        radio.connect(flight.uri)
-        change(flight)
-        pilot = Pilot(radio, flight.clock, flight.motion_capture, FlightPlan(*policies, NEAR, **plan))
+    def failed(change=lambda world: None, **plan):
+        world = World(SETTING, seed=3)
+        radio = Radio(world.link, world, 0.5)
+        radio.connect(URI)
+        change(world)
+        pilot = Pilot(radio, world, world.view, FlightPlan(*policies, NEAR, **plan))
         found = {check.name for check in pilot.check() if not check.passed}
         with pytest.raises(ValueError, match="checks"):
             pilot.fly()
         radio.close()
         return found
 
-    assert failed(change=lambda f: setattr(f.world.body, "voltage_drop", 0.7)) == {"battery"}
+    assert failed(change=lambda f: setattr(f.body, "voltage_drop", 0.7)) == {"battery"}
     assert failed(stand=0.5) == {"height"}
-    assert "motion capture" in failed(change=lambda f: setattr(f.world.view, "blind", True))
-    assert "motion capture" in failed(change=lambda f: setattr(f.world.view, "frozen", True))
+    assert "motion capture" in failed(change=lambda f: setattr(f.view, "blind", True))
+    assert "motion capture" in failed(change=lambda f: setattr(f.view, "frozen", True))
 
 
 def test_a_log_holds_what_it_is_told(tmp_path):

@@ -17,9 +17,8 @@ from inclined_landing.eval.flying.simulated.body import (
 )
 from inclined_landing.eval.flying.simulated.faults import FAULTS, Fault
 from inclined_landing.eval.flying.simulated.firmware import Firmware, FirmwareSetpoint, State
-from inclined_landing.eval.flying.simulated.flight import fly_simulated
 from inclined_landing.eval.flying.simulated.transport import CameraQuality, LinkDirection, LinkQuality
-from inclined_landing.eval.flying.simulated.world import Setting, World
+from inclined_landing.eval.flying.simulated.world import URI, Setting, World
 from inclined_landing.models import attitude
 from inclined_landing.models.attitude import PITCH, ROLL, VX, VY, YAW, Z, rotation
 from inclined_landing.models.base.errors import UserError
@@ -33,41 +32,40 @@ yaws = st.floats(-179.0, 179.0)
 
 def connected(seed=1, faults=(), **setting):
     setting = {"heading": 0.0, **setting}
-    flight = fly_simulated(Setting(**setting), seed=seed, faults=[Fault.parse(text) for text in faults])
-    flight.link.open(flight.uri)
-    return flight
+    world = World(Setting(**setting), seed=seed, faults=[Fault.parse(text) for text in faults])
+    world.link.open(URI)
+    return world
 
 
-def fly(flight, seconds, setpoint=None):
+def fly(world, seconds, setpoint=None):
     """Send a set-point at 50 Hz."""
-    clock = flight.clock
     for _ in range(round(seconds / PERIOD)):
         if setpoint is not None:
-            flight.link.setpoint(*setpoint)
-        clock.wait_until(clock.now() + PERIOD)
+            world.link.setpoint(*setpoint)
+        world.wait_until(world.now() + PERIOD)
 
 
 def airborne(seconds=1.0, **options):
     """In the air, rising at about 1 m/s, some thrust over hover."""
-    flight = connected(**options)
-    fly(flight, 0.1, (0, 0, 0, 0))
-    fly(flight, seconds, (0, 0, 0, 38000))
-    return flight
+    world = connected(**options)
+    fly(world, 0.1, (0, 0, 0, 0))
+    fly(world, seconds, (0, 0, 0, 38000))
+    return world
 
 
-def logged(flight, period, *names):
-    rows, clock = [], flight.clock
-    flight.link.log("test", period, names, lambda stamp, data: rows.append((clock.now(), stamp, data)))
+def logged(world, period, *names):
+    rows = []
+    world.link.log("test", period, names, lambda stamp, data: rows.append((world.now(), stamp, data)))
     return rows
 
 
-def seen_by(flight):
+def seen_by(world):
     """Every pose from now on: time of arrival, pose, true position then."""
-    poses, world = [], flight.world
+    poses = []
     arrive = world.view.arrive
 
     def seen(pose):
-        poses.append((flight.clock.now(), pose, world.body.state[:3].copy()))
+        poses.append((world.now(), pose, world.body.state[:3].copy()))
         arrive(pose)
 
     world.view.arrive = seen
@@ -102,10 +100,10 @@ def test_setpoints_point_the_thrust_where_the_firmware_would(roll, pitch):
     ids=["pitch is forward", "roll is right", "yaw rate is clockwise"],
 )
 def test_signs_of_set_points_and_logs(setpoint, speed, angle, shown, sign):
-    flight = airborne()
-    rows = logged(flight, 20, shown)
-    fly(flight, 0.8, setpoint)
-    state, (column, direction) = flight.world.body.state, angle
+    world = airborne()
+    rows = logged(world, 20, shown)
+    fly(world, 0.8, setpoint)
+    state, (column, direction) = world.body.state, angle
     assert direction * state[column] > math.radians(5.0)
     # 0.1 deg of noise, 0.01 s of a change of less than 60 deg/s.
     assert rows[-1][2][shown] == pytest.approx(sign * math.degrees(state[column]), abs=1.5)
@@ -114,11 +112,11 @@ def test_signs_of_set_points_and_logs(setpoint, speed, angle, shown, sign):
 
 
 def test_the_onboard_yaw_begins_at_zero_whatever_the_heading():
-    flight = connected(heading=0.5)
-    rows = logged(flight, 100, "stateEstimate.yaw")
-    fly(flight, 0.3)
+    world = connected(heading=0.5)
+    rows = logged(world, 100, "stateEstimate.yaw")
+    fly(world, 0.3)
     assert abs(rows[-1][2]["stateEstimate.yaw"]) < 0.6  # noise of 0.1 deg
-    r = Rotation.from_quat(flight.motion_capture.latest().attitude, scalar_first=True)
+    r = Rotation.from_quat(world.view.latest().attitude, scalar_first=True)
     assert r.as_euler("ZXY")[0] == pytest.approx(0.5, abs=0.02)  # noise of 4 mrad
 
 
@@ -170,24 +168,24 @@ def test_the_accelerometer_feels_the_thrust_in_flight(share):
 
 
 def test_thrust_is_locked_until_a_setpoint_of_none():
-    flight = connected()
-    fly(flight, 0.5, (0, 0, 0, 50000))
-    assert flight.world.firmware.thrust == 0.0
-    flight.link.setpoint(0, 0, 0, 0)
-    fly(flight, 0.1, (0, 0, 0, 50000))
-    assert flight.world.firmware.thrust == 50000.0
-    fly(flight, 0.1, (0, 0, 0, 65535))
-    assert flight.world.firmware.thrust == firmware.MOST_THRUST
-    fly(flight, 0.1, (0, 0, 0, 999))
-    assert flight.world.firmware.thrust == 0.0
+    world = connected()
+    fly(world, 0.5, (0, 0, 0, 50000))
+    assert world.firmware.thrust == 0.0
+    world.link.setpoint(0, 0, 0, 0)
+    fly(world, 0.1, (0, 0, 0, 50000))
+    assert world.firmware.thrust == 50000.0
+    fly(world, 0.1, (0, 0, 0, 65535))
+    assert world.firmware.thrust == firmware.MOST_THRUST
+    fly(world, 0.1, (0, 0, 0, 999))
+    assert world.firmware.thrust == 0.0
 
 
 def test_watchdog_levels_out_then_stops_and_locks():
-    flight = airborne()
-    fly(flight, 0.3, (0, 10, 0, 36000))
-    flight.clock.wait_until(flight.clock.now() + 3.0)
-    trace = flight.world.trace
-    last = flight.world.firmware.setpoint.time
+    world = airborne()
+    fly(world, 0.3, (0, 10, 0, 36000))
+    world.wait_until(world.now() + 3.0)
+    trace = world.trace
+    last = world.firmware.setpoint.time
     levels = trace.time[np.argmax(trace.mode == State.LEVEL_OUT)]
     off = trace.time[np.nonzero(trace.command[:, 0])[0][-1]] + 0.004
     # The supervisor looks every 40 ms; an engine step is 4 ms.
@@ -195,35 +193,35 @@ def test_watchdog_levels_out_then_stops_and_locks():
     assert 2.0 <= off - last <= 2.05
     between = (trace.time > levels + 0.01) & (trace.time < off)
     assert np.ptp(trace.command[between], axis=0).max() == 0.0 and trace.command[between][0, 2] == 0.0
-    assert flight.world.firmware.state is State.LOCKED
-    fly(flight, 0.1, (0, 0, 0, 0))
-    fly(flight, 0.1, (0, 0, 0, 40000))
-    assert flight.world.thrust == 0.0
+    assert world.firmware.state is State.LOCKED
+    fly(world, 0.1, (0, 0, 0, 0))
+    fly(world, 0.1, (0, 0, 0, 40000))
+    assert world.thrust == 0.0
 
 
 def test_emergency_stop_and_its_watchdog():
-    flight = airborne(link=PERFECT)
-    begin = flight.clock.now()
-    flight.link.emergency_stop()
-    fly(flight, 0.2, (0, 0, 0, 40000))
-    trace = flight.world.trace
+    world = airborne(link=PERFECT)
+    begin = world.now()
+    world.link.emergency_stop()
+    fly(world, 0.2, (0, 0, 0, 40000))
+    trace = world.trace
     assert trace.time[trace.command[:, 0] > 0][-1] - begin < 0.05  # 3 ms of radio, 40 ms of supervisor
-    flight = airborne(link=PERFECT)
-    flight.link.notice()
-    begin = flight.clock.now()
-    fly(flight, 1.2, (0, 0, 0, 34000))
-    trace = flight.world.trace
+    world = airborne(link=PERFECT)
+    world.link.notice()
+    begin = world.now()
+    fly(world, 1.2, (0, 0, 0, 34000))
+    trace = world.trace
     assert 1.0 <= trace.time[trace.command[:, 0] > 0][-1] - begin <= 1.06
 
 
 def test_a_stop_setpoint_ends_a_flight_that_may_go_on():
-    flight = airborne(0.4)
+    world = airborne(0.4)
     for _ in range(110):
-        flight.link.stop()
-        fly(flight, PERIOD)
-    assert flight.world.thrust == 0.0 and flight.world.firmware.state is State.LANDED
-    fly(flight, 0.3, (0, 0, 0, 40000))
-    assert flight.world.firmware.state is State.FLYING
+        world.link.stop()
+        fly(world, PERIOD)
+    assert world.thrust == 0.0 and world.firmware.state is State.LANDED
+    fly(world, 0.3, (0, 0, 0, 40000))
+    assert world.firmware.state is State.FLYING
 
 
 @pytest.mark.parametrize(("up", "after"), [(0.3, 1.0), (-0.5, 0.1)])
@@ -260,15 +258,15 @@ def test_setpoints_that_are_no_numbers_stay_finite(roll, yaw_rate):
 
 
 def test_logs_and_what_they_refuse():
-    flight = connected(link=PERFECT)
-    rows = logged(flight, 10, "stateEstimate.roll", "pm.vbat", "supervisor.info")
-    fly(flight, 1.0)
+    world = connected(link=PERFECT)
+    rows = logged(world, 10, "stateEstimate.roll", "pm.vbat", "supervisor.info")
+    fly(world, 1.0)
     stamps = np.array([stamp for _, stamp, _ in rows])
     assert len(rows) in (99, 100, 101) and (np.diff(stamps) == 10).all()
     assert 3.9 < rows[-1][2]["pm.vbat"] < 4.3 and int(rows[-1][2]["supervisor.info"]) & 2
     assert 0.0029 < rows[-1][0] - stamps[-1] / 1000.0 < 0.0045  # 3 ms of radio; stamps are cut to ms
     with pytest.raises(KeyError):
-        logged(flight, 10, "stateEstimate.w")  # the firmware has none either
+        logged(world, 10, "stateEstimate.w")  # the firmware has none either
 
 
 # --- radio, cameras, repeatability -------------------------------------------------------------------
@@ -289,24 +287,24 @@ def test_packets_arrive_in_order_late_and_not_always():
 
 
 def test_cameras_see_with_their_noise_rate_and_latency():
-    flight = connected(cameras=CameraQuality(jitter=0.0))
-    poses = seen_by(flight)
-    flight.clock.wait_until(flight.clock.now() + 8.0)
+    world = connected(cameras=CameraQuality(jitter=0.0))
+    poses = seen_by(world)
+    world.wait_until(world.now() + 8.0)
     c = CameraQuality()
     seen = len(poses) / 8.0
     hidden = c.dropouts * (c.dropout_length + 0.5 / c.rate)
     assert seen == pytest.approx(c.rate * (1.0 - hidden), abs=3.0)  # 4 dropouts of 30 ms, give or take 3
     positions = np.array([pose.position for _, pose, _ in poses])
     assert positions.std(axis=0) == pytest.approx(c.noise, rel=0.09)  # 1/sqrt(2 * 950) is 2.3 %
-    assert np.abs(positions.mean(axis=0) - flight.world.body.state[:3]).max() < 1e-4
+    assert np.abs(positions.mean(axis=0) - world.body.state[:3]).max() < 1e-4
     assert np.array([t - pose.time for t, pose, _ in poses]) == pytest.approx(c.latency)
 
 
 def test_a_flight_repeats_bit_for_bit_under_its_seed():
     def trace(seed):
-        flight = airborne(0.4, seed=seed, heading=None)
-        fly(flight, 0.3, (3, 4, 5, 36000))
-        return flight.world.trace.state
+        world = airborne(0.4, seed=seed, heading=None)
+        fly(world, 0.3, (3, 4, 5, 36000))
+        return world.trace.state
 
     first = trace(5)
     assert (first == trace(5)).all() and (first != trace(6)).any()
@@ -318,31 +316,31 @@ def test_a_flight_repeats_bit_for_bit_under_its_seed():
 @functools.cache
 def fault_flight(name):
     """A second of flight, and one with the fault."""
-    flight = connected(faults=[f"{name}@air+0.5"], cameras=CameraQuality(dropouts=0.0))
+    world = connected(faults=[f"{name}@air+0.5"], cameras=CameraQuality(dropouts=0.0))
     lost = []
-    flight.world.on_link_lost = lambda why: lost.append((flight.clock.now(), why))
-    rows = logged(flight, 10, "stateEstimate.roll", "stateEstimate.pitch", "pm.vbat")
-    fly(flight, 0.1, (0, 0, 0, 0))
-    poses = seen_by(flight)
-    fly(flight, 1.8, (0, 5, 0, 36000))
-    return flight, rows, poses, lost
+    world.link.give_up = lambda: lost.append(world.now())
+    rows = logged(world, 10, "stateEstimate.roll", "stateEstimate.pitch", "pm.vbat")
+    fly(world, 0.1, (0, 0, 0, 0))
+    poses = seen_by(world)
+    fly(world, 1.8, (0, 5, 0, 36000))
+    return world, rows, poses, lost
 
 
 def test_faults_of_the_link():
-    flight, rows, _, lost = fault_flight("link-lost")
-    begun = flight.world.trace.time[np.argmax(flight.world.trace.state[:, Z] > 0.03)] + 0.5
-    assert rows[-1][0] < begun + 0.05 and len(lost) == 1 and lost[0][0] - begun < 0.3
-    assert flight.world.firmware.state is State.LEVEL_OUT
-    flight, rows, _, lost = fault_flight("uplink-lost")
-    assert rows[-1][0] > flight.clock.now() - 0.05 and not lost
-    assert flight.world.firmware.state is State.LEVEL_OUT
-    flight, rows, _, lost = fault_flight("downlink-lost")
-    assert rows[-1][0] < begun + 0.1 and not lost and flight.world.firmware.state is State.FLYING
-    flight, rows, _, lost = fault_flight("packet-storm")
+    world, rows, _, lost = fault_flight("link-lost")
+    begun = world.trace.time[np.argmax(world.trace.state[:, Z] > 0.03)] + 0.5
+    assert rows[-1][0] < begun + 0.05 and len(lost) == 1 and lost[0] - begun < 0.3
+    assert world.firmware.state is State.LEVEL_OUT
+    world, rows, _, lost = fault_flight("uplink-lost")
+    assert rows[-1][0] > world.now() - 0.05 and not lost
+    assert world.firmware.state is State.LEVEL_OUT
+    world, rows, _, lost = fault_flight("downlink-lost")
+    assert rows[-1][0] < begun + 0.1 and not lost and world.firmware.state is State.FLYING
+    world, rows, _, lost = fault_flight("packet-storm")
     during = [t for t, *_ in rows if begun + 0.1 < t < begun + 0.9]
     assert 0 < len(during) < 30 and not lost  # of 80, a tenth
-    flight, _, _, lost = fault_flight("reboot")
-    assert flight.world.thrust == 0.0 and len(lost) == 1
+    world, _, _, lost = fault_flight("reboot")
+    assert world.thrust == 0.0 and len(lost) == 1
 
 
 def test_faults_of_the_motion_capture():
@@ -363,12 +361,12 @@ def test_faults_of_the_motion_capture():
 
 
 def test_faults_of_the_vehicle():
-    flight, rows, _, _ = fault_flight("attitude-wrong")
-    assert rows[-1][2]["stateEstimate.pitch"] > 3.0 and flight.world.body.state[PITCH] > 0.05
-    flight, rows, _, _ = fault_flight("low-battery")
+    world, rows, _, _ = fault_flight("attitude-wrong")
+    assert rows[-1][2]["stateEstimate.pitch"] > 3.0 and world.body.state[PITCH] > 0.05
+    world, rows, _, _ = fault_flight("low-battery")
     assert rows[-1][2]["pm.vbat"] < rows[40][2]["pm.vbat"] - 0.3
     nominal, *_ = fault_flight("downlink-lost")
-    assert flight.world.body.state[Z] < nominal.world.body.state[Z] - 0.05
+    assert world.body.state[Z] < nominal.body.state[Z] - 0.05
 
 
 def test_faults_are_named_and_timed():
@@ -382,13 +380,13 @@ def test_faults_are_named_and_timed():
 
 
 def test_connecting_over_a_lost_link_fails():
-    flight = fly_simulated(seed=1, faults=[Fault("link-lost")])
-    flight.clock.wait_until(1.1)
-    flight.link.open(flight.uri)
-    assert flight.link.lost == "Too many packets lost" and not flight.link.connected
+    world = World(seed=1, faults=[Fault("link-lost")])
+    world.wait_until(1.1)
+    world.link.open(URI)
+    assert world.link.lost == "Too many packets lost" and not world.link.connected
 
 
 @pytest.mark.parametrize("start", [(0.0, 0.0), (9.0, 0.0), (math.nan, 0.0)])
 def test_impossible_starts_are_refused(start):
     with pytest.raises(UserError):
-        World(Setting(start=start), 0)
+        World(Setting(start=start), seed=0)
