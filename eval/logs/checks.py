@@ -141,12 +141,12 @@ def hover_command(log: FlightLog) -> float:
 
     The result is NaN if these last less than a second, or if thrust comes from wrong rotor speeds.
     """
-    parts = motion.motion(log)
-    if not parts or (log.thrust_is_measured and values.failed_speed_sensors(log)):
+    moves = motion.motion(log)
+    if not moves.pwm or (log.thrust_is_measured and values.failed_speed_sensors(log)):
         return np.nan
     # Standing on the ground with the motors on looks like hovering at less thrust.
-    air = motion.in_air(log, parts)
-    pwm, force = (np.concatenate([getattr(p, key) for p in parts]) for key in ("pwm", "force"))
+    air = motion.in_air(log, moves)
+    pwm, force = np.concatenate(moves.pwm), np.concatenate(moves.force)
     if air.sum() < motion.RATE:
         return np.nan
     # pwm = slope (f - g) + level: the constant term is the command at f = g.
