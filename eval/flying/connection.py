@@ -63,7 +63,7 @@ class RealConnection:
         cflib.crtp.init_drivers()
 
     def connect(self, k: int, plan: FlightPlan, dry: bool) -> Connected:
-        """Return radio, clock and motion capture; the user puts the vehicle back before every further flight."""
+        """Return radio, clock and motion capture; before every further flight the user puts it back."""
         from cflib.crazyflie import Crazyflie
 
         if k > 0:
