@@ -1,5 +1,6 @@
 """The faces of the environment: Gymnasium, its vector environment, and Stable-Baselines3."""
 
+import contextlib
 import sys
 import warnings
 
@@ -7,14 +8,15 @@ import gymnasium as gym
 import imageio_ffmpeg
 import numpy as np
 import pytest
+from gymnasium.envs.registration import EnvSpec
 from gymnasium.utils.env_checker import check_env as gymnasium_check
 from stable_baselines3.common.env_checker import check_env as sb3_check
 
+from inclined_landing.envs import gym_env, ids
 from inclined_landing.envs.batch import BatchEnv
 from inclined_landing.envs.gym_env import (
     InclinedLandingEnv,
     InclinedLandingVectorEnv,
-    SetpointEnv,
     TaskEnv,
     TaskVectorEnv,
 )
@@ -53,7 +55,7 @@ def vec_env(n=3, task="landing", plant="analytic", seed=0, **options) -> BatchVe
 # --- Gymnasium, one vehicle --------------------------------------------------------------------------
 
 
-@pytest.mark.parametrize("kind", [InclinedLandingEnv, SetpointEnv])
+@pytest.mark.parametrize("kind", [getattr(gym_env, f"{task.__name__}Env") for task in TASKS.values()])
 def test_both_checkers_pass_with_rendering(kind):
     env = kind(**PICTURE)
     assert env.metadata["render_modes"] == ["rgb_array"]  # the checker tries them all
@@ -68,6 +70,17 @@ def test_both_checkers_pass_with_rendering(kind):
     assert frame.shape == (48, 64, 3) and frame.dtype == np.uint8 and frame.std() > 5
     env.close()
     env.close()
+
+
+@pytest.mark.parametrize("name", ids.IDS)
+def test_an_environment_is_made_again_from_its_specification_and_in_vectors(name):
+    env = gym.make(name)
+    again = gym.make(EnvSpec.from_json(env.spec.to_json()))
+    np.testing.assert_array_equal(*(e.reset(seed=3)[0] for e in (env, again)))
+    for mode in (None, "sync"):
+        with contextlib.closing(gym.make_vec(name, num_envs=2, vectorization_mode=mode)) as vector:
+            vector.reset(seed=0)
+            assert vector.step(vector.action_space.sample())[1].shape == (2,)
 
 
 def test_every_task_has_its_environments_and_its_manual():

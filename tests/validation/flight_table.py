@@ -157,9 +157,7 @@ def start_row(policy: str, vehicle: str, flown: Sequence[Flown]) -> dict:
         "goal box, seen by the pilot": proportion(sum(one.report["landed"] for one in flown), len(flown)),
         "truly, before a touch": proportion(sum(t.strict for t in truths), len(flown)),
         "at rest on its feet": proportion(sum(t.landed for t in truths), len(flown)),
-        "down, never outside": proportion(
-            sum(bool(t.rests) and t.outside == 0.0 for t in truths), len(flown)
-        ),
+        "down, never outside": proportion(sum(bool(t.rests) and not t.outside for t in truths), len(flown)),
         "landing [s]": spread(times),
         "speed in the box [m/s]": spread([math.hypot(*t.speed) for t in truths if t.speed is not None]),
     }
@@ -331,13 +329,9 @@ _SOON = f"no credible position for {safety.POSE_LIMIT:g} s"
 ALONE = 8.0  # m: a vehicle that hovers at a start, and is left alone with the most thrust and lean
 STUCK, LATE = 4.0, 2.0  # s and m: a fault that shows only when the vehicle accelerates
 WITHIN = 0.0
+KILLED = DEAD_MAN_DELAY + firmware.PERIOD + REACTION
 CASES = (
-    _of(
-        "pilot-killed",
-        DEAD_MAN_DELAY + firmware.PERIOD + REACTION,
-        WITHIN,
-        "a process outlives it, and sends a stop",
-    ),
+    _of("pilot-killed", KILLED, WITHIN, "a process outlives it, and sends a stop"),
     _of("link-lost", WATCHDOG, ALONE, _BY_ITSELF),
     _of("uplink-lost", WATCHDOG, ALONE, _BY_ITSELF),
     _of("downlink-lost", safety.ATTITUDE_LIMIT + REACTION, WITHIN, _DEAF),

@@ -17,9 +17,9 @@ from inclined_landing.eval.base.options import Folder, Seed
 from inclined_landing.eval.gap.gap_example import HIDDEN, introduce, write_hidden
 from inclined_landing.models.effects import apply
 from inclined_landing.models.parameters import load_vehicle, write_vehicle
-from tests.validation.gap_blind.accepted import NOT_COMPARED
 from tests.validation.gap_blind.causes import Drawn
 from tests.validation.gap_blind.generate import fly_all, logs, write_csv
+from tests.validation.gap_blind.score import NOT_COMPARED
 from tests.validation.shared import check_known
 
 _NUMBERS = {name: next(iter(values.values())) for name, values in tomllib.loads(HIDDEN).items()}

@@ -25,7 +25,7 @@ from inclined_landing.models.effects import LIBRARY
 from inclined_landing.models.parameters import load_vehicle
 from inclined_landing.models.vehicle import Vehicle
 from tests.validation.gap_blind import causes, generate
-from tests.validation.gap_blind.accepted import EFFECT
+from tests.validation.gap_blind.score import EFFECT
 from tests.validation.shared import study, table_of
 
 COUNT = 12  # landings to identify with, and of a case

@@ -29,7 +29,6 @@ from tests.validation.simulator import Recording, control
 from tests.validation.simulator.vehicle import PILOT_RATE
 
 from .gap_blind import cases, generate, score
-from .gap_blind.accepted import accepted
 from .gap_blind.causes import FREE_FLIGHT, SIZES
 from .shared import study, table_of
 
@@ -142,7 +141,7 @@ def answer(case: cases.Case, d: Diagnosis) -> dict:
     report = d.to_json()
     sure = sorted(effect.name for effect in d.effects if effect.sure)
     wrong = not all(score.score_case(case.label(), report)["sure"])
-    right = any(option <= set(sure) for option in accepted(case.causes[0]))
+    right = any(option <= set(sure) for option in score.accepted(case.causes[0]))
     found = "wrong" if wrong else "right" if right else "in doubt"
     truth = score.belief(case.label(), report)
     return {"answer": found, "verdict": d.verdict, "sure": sure, "truth": truth}

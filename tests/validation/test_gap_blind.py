@@ -10,13 +10,12 @@ from inclined_landing.models import effects
 from inclined_landing.models.base.errors import UserError
 from tests.validation import shared
 from tests.validation.gap_blind import cases, causes, command, score
-from tests.validation.gap_blind.accepted import ALIASES, EFFECT, ENTAILED, NOT_COMPARED
 from tests.validation.simulator import FAMILIES
 
 
 def test_every_cause_is_in_the_library_or_declared_outside():
     # An effect without a cause here is in the library, but its naming is not proved.
-    known = {EFFECT.get(name, name): name for name in (*causes.FREE_FLIGHT, *causes.TOUCHDOWN)}
+    known = {score.EFFECT.get(name, name): name for name in (*causes.FREE_FLIGHT, *causes.TOUCHDOWN)}
     assert set(known) <= set(effects.LIBRARY)
     assert not (set(causes.UNKNOWN) | set(causes.DISTURBANCE)) & set(effects.LIBRARY)
     rng = np.random.default_rng(0)
@@ -25,8 +24,8 @@ def test_every_cause_is_in_the_library_or_declared_outside():
         numbers = {parameter.name for parameter in effects.LIBRARY[effect].parameters}
         # A battery is labelled by the slope that it gives thrust, the ground by the thrust it adds.
         assert set(drawn.parameters) <= numbers | {"slope", "voltage", "pwm", "gain"}
-        assert score.comparable(name, drawn.parameters) or name in NOT_COMPARED
-    for _, sets, why in (*ALIASES, *((ones, (names,), why) for ones, names, why in ENTAILED)):
+        assert score.comparable(name, drawn.parameters) or name in score.NOT_COMPARED
+    for _, sets, why in (*score.ALIASES, *((ones, (names,), why) for ones, names, why in score.ENTAILED)):
         assert all(set(names) <= set(effects.LIBRARY) for names in sets) and why
 
 

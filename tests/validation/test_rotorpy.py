@@ -12,8 +12,8 @@ from tests.validation.simulator.paths import Path
 rotorpy = pytest.importorskip(
     "tests.validation.gap_blind.rotorpy_reality", exc_type=ImportError, reason="needs rotorpy"
 )
-HOVER = Path([0.0, 0.0, 1.2]).hold(7.0)
-DASH = Path([-1.0, 0.0, 1.0]).hold(0.5).move([1.2, 0.0, 1.0], 1.6).hold(4.9)
+HOVER = Path([0.0, 0.0, 1.2]).hold(4.5)
+DASH = Path([-1.0, 0.0, 1.0]).hold(0.5).move([1.2, 0.0, 1.0], 1.6).hold(2.4)
 FLIGHTS = {
     "usual": (HOVER, World()),
     "weak": (HOVER, World(thrust_scale=0.9)),
@@ -53,7 +53,7 @@ def test_a_batch_flies_as_rotorpy_steps():
     plant, s = rotorpy.vehicle([params] * 2), torch.from_numpy(np.stack([start] * 2))
     own = Multirotor(params, integrator_kwargs={"rtol": 1e-9, "atol": 1e-9})
     state = Multirotor._unpack_state(start.copy())
-    for _ in range(rotorpy.RATE):
+    for _ in range(rotorpy.RATE // 2):
         speeds = 1750.0 + rng.uniform(-15, 15, 4)
         s = rotorpy.advance(plant, s, torch.from_numpy(np.stack([speeds] * 2)), torch.zeros_like(s), h)
         state = own.step(state, {"cmd_motor_speeds": speeds}, h)
@@ -85,7 +85,8 @@ def test_drag_slows_and_wind_leans(flown):
 def test_a_case_is_drawn_and_flown(monkeypatch):
     case = cases.draw("rotorpy", "rotor_drag", "medium", 2)
     monkeypatch.setattr(cases, "FLIGHTS", 2)
-    (healthy, hidden), (_, again) = case.fly(1.0), case.fly(1.0)
+    monkeypatch.setattr(rotorpy, "WARM_UP", 0.4)
+    (healthy, hidden), (_, again) = case.fly(0.6), case.fly(0.6)
     assert len(healthy) == len(hidden) == 2 and case.label()["parameters"]["rotor_drag"]["lateral"] != 1.0
     assert np.array_equal(hidden[1].position, again[1].position)
     assert hidden[0].rate == pytest.approx(case.reality.log_rate)

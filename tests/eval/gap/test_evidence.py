@@ -37,7 +37,7 @@ from inclined_landing.eval.gap.model.columns import (
     ParameterColumn,
 )
 from inclined_landing.eval.gap.model.fitting import FITTING, fitting
-from inclined_landing.eval.gap.model.prediction import predict, predictor
+from inclined_landing.eval.gap.model.prediction import predict
 from inclined_landing.eval.gap.model.problem import Problem
 from inclined_landing.eval.gap.model.reference import (
     Basis,
@@ -387,28 +387,6 @@ def test_slopes_of_delays_are_sums_of_each_other(delay):
     assert np.abs(together).max() > 0.1
     # Drag couples both only through the measured attitude: the sum is exact but for rounding over the step.
     np.testing.assert_allclose(slopes["mocap_delay"], together, atol=1e-3 * np.abs(together).max())
-
-
-def test_vehicles_predicted_together_are_as_alone():
-    """What vehicles share is predicted once: an effect that their comparison leaves out would vanish."""
-    rng = np.random.default_rng(3)
-    log = still(rng, 4.0)
-    swing = np.sin(2.0 * np.pi * log.t[:, None] + [0.0, 1.0, 2.0])
-    flight = prepare(
-        dataclasses.replace(
-            log,
-            position=log.position + 0.3 * swing,
-            attitude=log.attitude + 0.2 * swing,
-            command=log.command + rng.uniform(-0.2, 0.2, log.command.shape) * [2e4, 1.0, 1.0, 0.5],
-        ),
-        VEHICLE,
-    )
-    vehicles = {name: e.apply(VEHICLE, e.plausible) for name, e in LIBRARY.items()}
-    changed = {name for name, v in vehicles.items() if (predict(flight, v) != predict(flight, VEHICLE)).any()}
-    assert {"thrust_scale", "rotor_drag", "attitude_gain", "yaw_loop", "estimator_lean"} <= changed
-    for name, vehicle in vehicles.items():
-        together = predictor(flight, [VEHICLE, vehicle])(flight)
-        np.testing.assert_array_equal(together[1], predict(flight, vehicle), err_msg=name)
 
 
 def rolling(rng, m=300):

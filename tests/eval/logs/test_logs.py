@@ -642,25 +642,32 @@ def test_names_in_other_lines_than_the_first(tmp_path):
     assert np.array_equal(read(tmp_path / "two.csv", mapping=tmp_path / "m.toml").position, log.position)
 
 
-@pytest.mark.parametrize(
-    ("text", "words"),
-    [
-        ("header = [2, 1]\n[columns]\nz = 'z'", "header must list line numbers in their order"),
-        ("header = [0]\n[columns]\nz = 'z'", "header"),
-        ("x = 1", "unknown entry 'x' in the file"),
-        ("[columns]\nheight = 'z'", r"\[columns\] height is not one of t, x"),
-        ("[columns]\nz = { unit = 'm' }", r"\[columns\] z needs exactly one of column, mean, sum"),
-        ("[columns]\nz = { column = 'z', unit = 's' }", "unit 's' of column z is unknown"),
-        ("[columns]\nz = { column = 'z', sign = 2 }", "sign must be 1 or -1"),
-        ("euler = 'XYZ'\n[columns]\nz = 'z'", "euler must be 'ZXY' or 'ZYX', not 'XYZ'"),
-        ("[columns", "is not TOML"),
-        ("", r"no \[columns\]"),
-        ("[columns]\ncmd_thrust_pwm = { mean_square = ['a', 'b'] }", "mean_square needs full"),
-        ("[columns]\nx = { column = 'x', full = 2.0 }", "full is only for a thrust command or a request"),
-        ("[columns]\ncmd_thrust_pwm = { column = 'a', full = 0.0 }", "full"),
-        ("inherit = 'mine'", "inherit mine: choose from"),
-    ],
-)
+GAINS = """inherit = "documented"
+[attitude_pid]
+kp = {kp}
+ki = 0.0
+roll = [{{ column = "cmd_roll" }}, {{ column = "cmd_yaw_rate" }}]
+pitch = [{{ column = "cmd_pitch" }}, {{ column = "cmd_yaw_rate" }}]
+"""
+
+
+@pytest.mark.parametrize(("text", "words"), [
+    ("header = [2, 1]\n[columns]\nz = 'z'", "header must list line numbers in their order"),
+    ("header = [0]\n[columns]\nz = 'z'", "header"),
+    ("x = 1", "unknown entry 'x' in the file"),
+    ("[columns]\nheight = 'z'", r"\[columns\] height is not one of t, x"),
+    ("[columns]\nz = { unit = 'm' }", r"\[columns\] z needs exactly one of column, mean, sum"),
+    ("[columns]\nz = { column = 'z', unit = 's' }", "unit 's' of column z is unknown"),
+    ("[columns]\nz = { column = 'z', sign = 2 }", "sign must be 1 or -1"),
+    ("euler = 'XYZ'\n[columns]\nz = 'z'", "euler must be 'ZXY' or 'ZYX', not 'XYZ'"),
+    ("[columns", "is not TOML"),
+    ("", r"no \[columns\]"),
+    ("[columns]\ncmd_thrust_pwm = { mean_square = ['a', 'b'] }", "mean_square needs full"),
+    ("[columns]\nx = { column = 'x', full = 2.0 }", "full is only for a thrust command or a request"),
+    ("[columns]\ncmd_thrust_pwm = { column = 'a', full = 0.0 }", "full"),
+    ("inherit = 'mine'", "inherit mine: choose from"),
+    *((GAINS.format(kp=kp), r"column cmd_roll by \[attitude_pid\] \(roll\)") for kp in ("1e-300", "1e-10")),
+])  # fmt: skip
 def test_bad_mappings_are_refused_in_words(tmp_path, text, words):
     (tmp_path / "m.toml").write_text(text)
     write_log(tmp_path / "a.csv", a_log())

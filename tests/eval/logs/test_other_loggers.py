@@ -10,7 +10,6 @@ from inclined_landing.eval import logs
 from inclined_landing.eval.logs import read_log
 from inclined_landing.eval.logs.read import write_log
 from inclined_landing.models.base.errors import UserError
-from tests.log_files import a_log
 from tests.log_files import sd_card as sd_card_log
 
 
@@ -155,18 +154,6 @@ def test_derived_angles_that_the_gyro_contradicts_are_left_out(tmp_path):
     path.write_bytes(sd_log(columns | wrong, 0.01))
     with pytest.raises(UserError, match="roll and pitch cannot be derived"):
         read_log(path, check=False)
-
-
-def test_gains_that_give_impossible_angles_are_refused(tmp_path):
-    write_log(tmp_path / "a.csv", a_log(100))
-    for gain in ("1e-300", "1e-10"):
-        (tmp_path / "m.toml").write_text(
-            f'inherit = "documented"\n[attitude_pid]\nkp = {gain}\nki = 0.0\n'
-            'roll = [{ column = "cmd_roll" }, { column = "cmd_yaw_rate" }]\n'
-            'pitch = [{ column = "cmd_pitch" }, { column = "cmd_yaw_rate" }]\n'
-        )
-        with pytest.raises(UserError, match=r"column cmd_roll by \[attitude_pid\] \(roll\)"):
-            read_log(tmp_path / "a.csv", mapping=tmp_path / "m.toml")
 
 
 def test_a_thrust_command_beyond_the_full_one_is_the_full_one(tmp_path):

@@ -5,7 +5,7 @@ midpoint rule. The pilot is RotorPy's SE3 controller (50 Hz, on the measured sta
 orientation are the logged PWM, roll and pitch. The vehicle turns what it receives into rotor speeds with
 RotorPy's `cmd_ctatt` loop (250 Hz). Where RotorPy has a parameter for a hidden cause (mass, coefficients of
 thrust, drag and lift, motor lag, gain of the attitude loop, wind), that parameter differs; the rest is
-added at the interface (`interface.py`). There is no ground effect: flights keep clear of the floor.
+added where commands and poses pass. There is no ground effect: flights keep clear of the floor.
 
 RotorPy is a package of its own (MIT license): pip install 'inclined-landing[baselines]'.
 """
@@ -16,6 +16,7 @@ import math
 from collections.abc import Sequence
 
 import numpy as np
+from scipy.spatial.transform import Rotation
 
 from inclined_landing.models.base.errors import optional
 from tests.validation.simulator import (
@@ -30,12 +31,10 @@ from tests.validation.simulator import (
     ordinary,
 )
 from tests.validation.simulator.family import between
-from tests.validation.simulator.flight import heard
+from tests.validation.simulator.flight import correlated, heard
 from tests.validation.simulator.vehicle import PILOT_RATE
 
-from . import interface
 from .causes import Drawn
-from .interface import RATE
 
 with optional():
     import roma  # noqa: F401 (RotorPy's batch needs it)
@@ -47,6 +46,7 @@ with optional():
     from rotorpy.wind.dryden_winds import BatchedDrydenGust
 
 _CPU = torch.device("cpu")
+RATE = 250  # Hz, of the flight controller and of the integration
 _POSITION_GAINS, _HEIGHT_GAINS = (6.5, 4.0, 0.0), (15.0, 9.0, 0.0)  # RotorPy's kp_pos, kd_pos; no integral
 WARM_UP = 2.0  # s flown before the log begins
 LOWEST = 0.35  # m, of the references; a pilot without integral may be pressed down by a cause
@@ -141,6 +141,67 @@ def advance(plant: BatchedMultirotor, s, speeds, push, h: float):
     return s
 
 
+# Air, external forces, and commands and poses that are late or wrong: worlds hold arrays (n,) here, one entry
+# for each flight of a batch.
+
+
+def received(command: np.ndarray, w: World):
+    """Return roll, pitch and yaw rate, each (n,), that the vehicle receives for commands (n, 4)."""
+    angles = command[:, 1:3].copy()
+    angles[np.abs(angles) < w.dead_zone[:, None]] = 0.0
+    step = np.where(w.quantum > 0.0, w.quantum, 1.0)[:, None]
+    angles = np.where(w.quantum[:, None] > 0.0, step * np.round(angles / step), angles)
+    roll, pitch = angles[:, 0], angles[:, 1] + w.cross_coupling * angles[:, 0]
+    gain = w.attitude_gain_scale
+    return gain * (roll + w.trim_roll), gain * (pitch + w.trim_pitch), command[:, 3]
+
+
+def wind_at(x: np.ndarray, w: World) -> np.ndarray:
+    """Return the steady wind (n, 3) at positions x (n, 3), with a rising column."""
+    squared = (x[:, 0] - w.updraft_x) ** 2 + (x[:, 1] - w.updraft_y) ** 2
+    return np.column_stack([w.wind_x, w.wind_y, w.updraft * np.exp(-squared / (2.0 * w.updraft_radius**2))])
+
+
+def external(q: np.ndarray, time: float, c: Constants, w: World) -> np.ndarray:
+    """Return external accelerations (n, 3) [m/s2]: bias of thrust, a fan, a force with the heading."""
+    push = Rotation.from_quat(q).apply([0.0, 0.0, 1.0]) * (w.thrust_bias / (c.mass * w.mass_scale))[:, None]
+    swing = w.swing * np.sin(2.0 * np.pi * time / w.swing_period)
+    heading = 2.0 * angles_of(q)[:, 2]
+    push[:, 0] += swing * np.cos(w.swing_direction) + w.heading_force * np.cos(heading)
+    push[:, 1] += swing * np.sin(w.swing_direction) + w.heading_force * np.sin(heading)
+    return push
+
+
+def disturbance(rng, shape: tuple[int, int, int], b: Build) -> np.ndarray:
+    """Return accelerations [m/s2] and angular accelerations [rad/s2] (ticks, n, 6) of a build's air."""
+    size = np.array([*b.disturbance, *b.disturbance_torque])
+    return size * correlated(rng, shape, b.disturbance_time, RATE)
+
+
+def delayed(history: np.ndarray, k, delay: np.ndarray) -> np.ndarray:
+    """Return rows of history (ticks, n, m), `delay` (n,) [s] before period k (one, or (n,)), interpolated."""
+    at = np.maximum(k - delay * RATE, 0.0)
+    before = np.floor(at + 1e-9).astype(int)
+    part, flight = np.maximum(at - before, 0.0)[:, None], np.arange(len(delay))
+    after = np.minimum(before + 1, np.maximum(k, before))
+    return (1.0 - part) * history[before, flight] + part * history[after, flight]
+
+
+def product(p: np.ndarray, q: np.ndarray) -> np.ndarray:
+    """Return the product of quaternions (n, 4), scalar last."""
+    return (Rotation.from_quat(p) * Rotation.from_quat(q)).as_quat()
+
+
+def attitude_of(yaw, roll, pitch) -> np.ndarray:
+    """Return the quaternion (n, 4) of Rz(yaw) Rx(roll) Ry(pitch)."""
+    return Rotation.from_euler("ZXY", np.column_stack([yaw, roll, pitch])).as_quat()
+
+
+def angles_of(q: np.ndarray) -> np.ndarray:
+    """Return roll, pitch, yaw (n, 3) of Rz Rx Ry."""
+    return Rotation.from_quat(q).as_euler("ZXY")[:, [1, 2, 0]]
+
+
 class Flights:
     """Flights side by side: their state (n, 20) and their record, period by period.
 
@@ -152,14 +213,14 @@ class Flights:
         c, b = reality.constants, reality.build
         self.w = w = World(*(np.array(column, float) for column in zip(*worlds)))
         ticks, level = len(rows) * RATE // PILOT_RATE, np.zeros(n)
-        self.air, self.gust = interface.disturbance(rng, (ticks, n, 6), b), self.gusts(rng, ticks)
+        self.air, self.gust = disturbance(rng, (ticks, n, 6), b), self.gusts(rng, ticks)
         scale = [c.position_noise] * 3 + [c.attitude_noise] * 3
         self.noise = rng.standard_normal((ticks, n, 6)) * scale
         self.heard = heard(rng, ticks, w.command_jitter, RATE)
-        self.level = interface.turn(level, w.level_roll, w.level_pitch)
-        self.crooked = interface.turn(level, w.mocap_roll, w.mocap_pitch)
+        self.level = attitude_of(level, w.level_roll, w.level_pitch)
+        self.crooked = attitude_of(level, w.mocap_roll, w.mocap_pitch)
         self.z = z = np.zeros((n, 20))
-        z[:, X], z[:, Q] = rows[0, :, :3], interface.turn(rows[0, :, control.REF_YAW], level, level)
+        z[:, X], z[:, Q] = rows[0, :, :3], attitude_of(rows[0, :, control.REF_YAW], level, level)
         self.states, self.commands = np.zeros((ticks, n, 20)), np.zeros((ticks, n, 4))
         self.volts = np.zeros((ticks, n))
         self.seen = np.zeros((ticks, n, 6))  # poses as motion capture shows them, without noise
@@ -172,25 +233,25 @@ class Flights:
         """Advance by a period of the flight controller."""
         c, w, z, time = self.reality.constants, self.w, self.z, k / RATE - WARM_UP
         self.states[k] = z
-        estimate = interface.times(z[:, Q], self.level)  # of the flight controller
+        estimate = product(z[:, Q], self.level)  # of the flight controller
         self._see(k, z, estimate)
         if k % 2 == 0:
-            self._track(interface.late(self.seen, k, w.mocap_delay) + self.noise[k], 2.0 / RATE)
+            self._track(delayed(self.seen, k, w.mocap_delay) + self.noise[k], 2.0 / RATE)
         held, heard = RATE // PILOT_RATE, self.heard[k]
         self.commands[k] = self.commands[k - 1] if k % held else self._command(self.rows[k // held])
-        pwm = interface.late(self.commands, heard, w.thrust_delay)[:, 0]
-        rest = interface.received(interface.late(self.commands, heard, w.attitude_delay), w)
+        pwm = delayed(self.commands, heard, w.thrust_delay)[:, 0]
+        rest = received(delayed(self.commands, heard, w.attitude_delay), w)
         wanted = np.column_stack([c.thrust_per_pwm * pwm, *rest])
         supply, fade = self._supply(k, z, time), 1.0 - w.thrust_fade * max(time, 0.0)
-        z[:, WIND] = interface.wind(z[:, X], w) + self.gust[k]
+        z[:, WIND] = wind_at(z[:, X], w) + self.gust[k]
         push = self.air[k].copy()
-        push[:, :3] += interface.forces(z[:, Q], time, c, w)
+        push[:, :3] += external(z[:, Q], time, c, w)
         self.z = self.advance(estimate, wanted, supply, fade, push)
 
     def _see(self, k: int, z: np.ndarray, estimate: np.ndarray) -> None:
         """Fill row k of `seen`; its yaw is continuous."""
         seen = self.seen[k]
-        seen[:, :3], seen[:, 3:] = z[:, X], interface.angles(interface.times(estimate, self.crooked))
+        seen[:, :3], seen[:, 3:] = z[:, X], angles_of(product(estimate, self.crooked))
         seen[:, 0] *= 1.0 + self.w.capture_scale * z[:, 0]
         seen[:, 5] += 2 * np.pi * np.round((self.seen[k - 1, :, 5] - seen[:, 5]) / (2 * np.pi))
 
@@ -205,8 +266,8 @@ class Flights:
     def _command(self, ref: np.ndarray) -> np.ndarray:
         """Return PWM, roll, pitch, yaw rate (n, 4) for one row of every reference (n, REF_SIZE)."""
         c, yaw = self.reality.constants, self.angles[:, 2]
-        thrust, q, upward = self.wish(interface.turn(yaw, *self.angles[:, :2].T), ref)
-        roll, pitch, _ = interface.angles(q).T
+        thrust, q, upward = self.wish(attitude_of(yaw, *self.angles[:, :2].T), ref)
+        roll, pitch, _ = angles_of(q).T
         step = ref[:, control.REF_MODE] == control.STEP  # angles as given, thrust for the height
         roll = np.where(step, ref[:, control.REF_ROLL], roll)
         pitch = np.where(step, ref[:, control.REF_PITCH], pitch)
@@ -233,7 +294,7 @@ class Flights:
         every, first = round(b.log_ticks) // 2, round(WARM_UP * RATE)
         rows = np.arange(-(-first // every) * every, len(self.states), every)
         delay = w.mocap_delay + w.log_delay
-        poses = np.array([interface.late(self.seen, k, delay) for k in rows]) + self.noise[rows]
+        poses = np.array([delayed(self.seen, k, delay) for k in rows]) + self.noise[rows]
         flown = []
         for j in range(len(delay)):
             t, z = np.arange(len(rows)) * every / RATE, self.states[rows, j]
@@ -248,7 +309,7 @@ class Flights:
                     command=self.commands[rows, j],
                     voltage=self.volts[rows, j] + c.voltage_noise * rng.standard_normal(len(t)),
                     contact=np.zeros(len(t), bool),
-                    truth=np.hstack([z[:, X], z[:, V], interface.angles(z[:, Q]), z[:, W], rotors]),
+                    truth=np.hstack([z[:, X], z[:, V], angles_of(z[:, Q]), z[:, W], rotors]),
                 )
             )
         return flown
@@ -302,7 +363,7 @@ class Flights:
         z, (thrust, roll, pitch, yaw_rate) = self.z, wanted.T
         rates = z[:, W].copy()
         rates[:, 2] -= self.w.yaw_drift + yaw_rate  # the loop damps what is left
-        asked = {"cmd_q": interface.turn(interface.angles(estimate)[:, 2], roll, pitch)}
+        asked = {"cmd_q": attitude_of(angles_of(estimate)[:, 2], roll, pitch)}
         asked["cmd_thrust"] = np.ascontiguousarray(thrust[:, None])
         state = _tensors({"q": estimate, "w": rates})
         speeds = self.loop.get_cmd_motor_speeds(state, _tensors(asked), torch.arange(len(z))).numpy()
