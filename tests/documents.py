@@ -7,11 +7,10 @@ import re
 import shlex
 import sys
 import tomllib
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from pathlib import Path
 
-from sybil import Document, Region
-from sybil.evaluators.python import PythonEvaluator
+from sybil import Document
 from sybil.parsers.markdown.lexers import RawFencedCodeBlockLexer
 
 from inclined_landing.envs.shared.command_line import bound, help_page, parse
@@ -64,28 +63,19 @@ def anchors(name: str) -> set[str]:
     return {one for one, other in zip(host, site, strict=True) if one == other and host.count(one) == 1}
 
 
-def blocks(name: str, take: Callable) -> Document:
-    """A document whose fenced blocks are evaluated by `take(language, title, example)`."""
-
-    def parser(document: Document) -> Iterator[Region]:
-        for found in BLOCK(document):
-            language, title = found.lexemes["language"], found.lexemes["title"]
-            yield Region(
-                found.start,
-                found.end,
-                found.lexemes["source"],
-                lambda example, language=language, title=title: take(language, title, example),
-            )
-
-    return Document.parse(str(ROOT / name), parser)
+def blocks(name: str, *languages: str) -> list[tuple[str, str | None, str]]:
+    """Language, title and text of the fenced blocks of a document; only those in `languages`, if any."""
+    document = Document((ROOT / name).read_text("utf-8"), name)
+    found = [tuple(map(region.lexemes.get, ("language", "title", "source"))) for region in BLOCK(document)]
+    return [block for block in found if not languages or block[0] in languages]
 
 
-def run_python(title: str | None, example) -> None:
+def run_python(title: str | None, text: str, namespace: dict, place: str) -> None:
     """Run a block in the namespace of its document; one with a title is saved as that file first."""
     if title:
-        Path(title).write_text(example.parsed, "utf-8")
-    example.namespace.setdefault("__name__", "documents")
-    PythonEvaluator()(example)
+        Path(title).write_text(text, "utf-8")
+    namespace.setdefault("__name__", "documents")
+    exec(compile(text, place, "exec", dont_inherit=True), namespace)
 
 
 def lines(source: str) -> Iterator[list[str]]:

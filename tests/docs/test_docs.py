@@ -31,28 +31,17 @@ def workplace(tmp_path, monkeypatch):
 
 @pytest.mark.parametrize("name", sorted(set(documents.documents()) - LONG))
 def test_python_blocks_run(name, workplace, capsys):
-    def take(language, title, example):
-        if language == "python":
-            documents.run_python(title, example)
-
-    for example in documents.blocks(name, take).examples():
-        example.evaluate()
+    namespace = {}
+    for number, (_, title, text) in enumerate(documents.blocks(name, "python")):
+        documents.run_python(title, text, namespace, f"{name}, Python block {number}")
 
 
 @pytest.mark.parametrize("name", documents.documents())
 def test_commands_exist_with_their_options(name):
-    def take(language, title, example):
-        if language in documents.SHELLS:
-            for words in documents.lines(example.parsed):
-                documents.check(words)
-
-    document = documents.blocks(name, take)
-    for example in document.examples():
-        example.evaluate()
-    sentences = "".join(document.text)
-    for _, region in reversed(document.regions):
-        sentences = sentences[: region.start] + sentences[region.end :]
-    for span in documents.SPAN.finditer(sentences):
+    for _, _, text in documents.blocks(name, *documents.SHELLS):
+        for words in documents.lines(text):
+            documents.check(words)
+    for span in documents.SPAN.finditer(documents.prose(name)):
         documents.check_span(span[1])
 
 

@@ -18,17 +18,6 @@ GUIDES = [name for name in documents.documents() if name.startswith("docs/guides
 SHORTER = {"--steps 2000000": "--steps 100000", "cleanrl_ppo.py 201": "cleanrl_ppo.py 201 20000"}
 
 
-def _collected(name: str) -> list[tuple[str, str | None, str]]:
-    """Language, title and text of every block."""
-    found: list[tuple[str, str | None, str]] = []
-    document = documents.blocks(
-        name, lambda language, title, example: found.append((language, title, example.parsed))
-    )
-    for example in document.examples():
-        example.evaluate()
-    return found
-
-
 def _shell(text: str, folder: Path, environment: dict[str, str]) -> None:
     for line in re.sub(r"\\\n\s*", " ", text).splitlines():
         began = time.monotonic()
@@ -45,7 +34,7 @@ def test_the_quickstart_in_a_fresh_clone(tmp_path):
     clone = tmp_path / "inclined-landing"
     subprocess.run(["git", "clone", "-q", str(ROOT), str(clone)], check=True)
     script = ["set -e"]
-    for language, title, text in _collected("docs/quickstart.md"):
+    for language, title, text in documents.blocks("docs/quickstart.md"):
         if language in documents.SHELLS:
             script += text.splitlines()
         elif language == "python":
@@ -74,7 +63,7 @@ def test_a_guide(name, tmp_path, monkeypatch):
     (tmp_path / "examples").symlink_to(ROOT / "examples")
     path = f"{Path(sys.executable).parent}{os.pathsep}{os.environ['PATH']}"
     namespace: dict = {}
-    for number, (language, title, text) in enumerate(_collected(name)):
+    for number, (language, title, text) in enumerate(documents.blocks(name)):
         if language == "sh":  # those of `console` need hardware, a display or hours
             for long, short in SHORTER.items():
                 text = text.replace(long, short)
@@ -82,10 +71,7 @@ def test_a_guide(name, tmp_path, monkeypatch):
         elif language == "toml" and (file := re.match(r"# (\w+\.toml)\n", text)):
             (tmp_path / file[1]).write_text(text, "utf-8")
         elif language == "python":
-            if title:
-                (tmp_path / title).write_text(text, "utf-8")
-            namespace.setdefault("__name__", "documents")
-            exec(compile(text, f"{name}, block {number}", "exec"), namespace)
+            documents.run_python(title, text, namespace, f"{name}, block {number}")
     if name.endswith("close_the_gap.md"):
         likely = [
             sum(
@@ -107,8 +93,8 @@ def test_the_gap_workflow_from_python(tmp_path, monkeypatch, capsys):
     assert documents.cli.main(["gap-example", "--out", "flights"]) == 0
     paths = sorted(Path("flights/fit").glob("*.csv"))
     namespace = {"before": paths[:3], "after": paths[3:6]}
-    blocks = [text for language, _, text in _collected("eval/gap/README.md") if language == "python"]
+    blocks = documents.blocks("eval/gap/README.md", "python")
     assert blocks
-    for text in blocks:
-        exec(compile(text, "eval/gap/README.md", "exec"), namespace)
+    for _, _, text in blocks:
+        documents.run_python(None, text, namespace, "eval/gap/README.md")
     assert capsys.readouterr().out.splitlines()[-1].startswith("nothing {}")

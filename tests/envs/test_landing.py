@@ -64,16 +64,9 @@ def test_reward_values_are_the_papers():
     assert judge(GOAL, away, near_bounds).reward.tolist() == [0, -1, -2]
     assert judge(away, near_bounds, near=True).reward.tolist() == [-7, -7]  # the obstacle goes first
     assert judge(GOAL, near=True).reward.tolist() == [0]  # the goal box before everything
-
-
-@pytest.mark.parametrize("surface, reward", [(0, -7), (1, -7), (2, -1)])
-def test_slab_and_base_are_the_obstacle_the_floor_is_not(surface, reward):
-    assert judge(at(1.0, 1.0), near=True, surface=surface).reward.tolist() == [reward]
-
-
-def test_the_keep_out_zone_pays_like_the_platform():
-    verdict = judge(at(0.5, 1.0), near=True, touch=False)
-    assert verdict.reward.tolist() == [-7]
+    assert judge(away, near=True, touch=False).reward.tolist() == [-7]  # the keep-out zone as the platform
+    for surface, reward in ((0, -7), (1, -7), (2, -1)):  # slab and base are the obstacle, the floor is not
+        assert judge(at(1.0, 1.0), near=True, surface=surface).reward.tolist() == [reward]
 
 
 def test_the_goal_ends_the_episode_with_success_and_nothing_else_does():

@@ -43,6 +43,9 @@ FREE = [
 ]
 BOTH = ("mujoco", "analytic")
 WEIGHT = V.body_mass * V.environment_gravity
+ALPHA = V.platform_inclination
+# The pitch that the moment of 1 mm beside the centre of mass makes: the loop's stiffness is B/tau inertia.
+TILT = 0.001 * WEIGHT * V.attitude_time_constant / (V.attitude_bandwidth * V.body_inertia[1])
 
 
 def changed(name: str, **values):
@@ -61,8 +64,8 @@ def everything():
 
 def plant_of(kind: str, n: int, vehicle, **options):
     """The pair of plants that must agree."""
-    own = {"torque_limit": False} if kind == "mujoco" else {"attitude": "rate_loop", "substeps": 5}
-    return make_plant(kind, n, vehicle, **(own | options))
+    own = {"mujoco": {"torque_limit": False}, "analytic": {"attitude": "rate_loop", "substeps": 5}}
+    return make_plant(kind, n, vehicle, **(own.get(kind, {}) | options))
 
 
 def fly(plant, commands=COMMANDS, starts=None, platform=False):
@@ -564,42 +567,32 @@ def test_the_prediction_along_a_flight_knows_the_attitude_effects(name):
 
 @pytest.mark.parametrize("kind", BOTH)
 def test_the_heavy_side_goes_down(kind):
-    """Steady tilt: offset weight = inertia B/tau angle, B/tau the stiffness of the attitude loop."""
-    offset = 0.001
-    states = hold(plant_of(kind, 1, changed("com_offset", x=offset, y=0.0)), 200, V.hover_pwm)
-    stiffness = V.body_inertia[1] * V.attitude_bandwidth / V.attitude_time_constant
-    assert states[-1, PITCH] == pytest.approx(offset * WEIGHT / stiffness, rel=0.01)
-    left = hold(plant_of(kind, 1, changed("com_offset", x=0.0, y=offset)), 200, V.hover_pwm)
-    assert left[-1, ROLL] < -0.9 * offset * WEIGHT / stiffness * V.body_inertia[1] / V.body_inertia[0]
+    states = hold(plant_of(kind, 1, changed("com_offset", x=0.001, y=0.0)), 200, V.hover_pwm)
+    assert states[-1, PITCH] == pytest.approx(TILT, rel=0.01)
+    left = hold(plant_of(kind, 1, changed("com_offset", x=0.0, y=0.001)), 200, V.hover_pwm)
+    assert left[-1, ROLL] < -0.9 * TILT * V.body_inertia[1] / V.body_inertia[0]
 
 
 @pytest.mark.parametrize("kind", ["analytic", "mujoco", "hybrid"])
 def test_an_integral_trims_a_moment_away_up_to_its_limit(kind):
     """From the angle without it: integral I = angle, or what the limit leaves of it."""
     rate, vehicle = 2.0, changed("com_offset", x=0.001, y=0.0).changed(effects_attitude_integral=2.0)
-    tilt = 0.001 * WEIGHT * V.attitude_time_constant / (V.attitude_bandwidth * V.body_inertia[1])
-    own = {"attitude": "rate_loop", "substeps": 5} if kind == "analytic" else {"threads": 1}
-    for limit, left in ((0.3, 0.0), (0.25 * tilt / rate, 0.75 * tilt)):
-        plant = make_plant(kind, 1, vehicle.changed(attitude_integral_limit=limit), **own)
+    for limit, left in ((0.3, 0.0), (0.25 * TILT / rate, 0.75 * TILT)):
+        plant = plant_of(kind, 1, vehicle.changed(attitude_integral_limit=limit))
         pitch = hold(plant, 350, V.hover_pwm)[:, PITCH]
         # The slowest pole, -3.2 1/s, leaves 2e-10 in 7 s; the step that reaches the limit is of 4 ms tilt.
-        assert pitch[-1] == pytest.approx(left, abs=0.004 * rate * tilt if left else 1e-3 * tilt)
-        assert plant.integral[0, 1] * rate == pytest.approx(pitch[-1] - tilt, rel=1e-2)
+        assert pitch[-1] == pytest.approx(left, abs=0.004 * rate * TILT if left else 1e-3 * TILT)
+        assert plant.integral[0, 1] * rate == pytest.approx(pitch[-1] - TILT, rel=1e-2)
 
 
 @pytest.mark.parametrize("kind", ["analytic", "mujoco", "hybrid"])
 def test_the_loops_take_over_the_moment_of_a_centre_of_mass(kind):
     """It tilts the vehicle at first, and no more after a few times 1/hold; a vehicle that stands so stays."""
     vehicle = changed("com_offset", x=0.001, y=0.0, hold=2.0)
-    tilt = 0.001 * WEIGHT * V.attitude_time_constant / (V.attitude_bandwidth * V.body_inertia[1])
-    own = {"attitude": "rate_loop", "substeps": 5} if kind == "analytic" else {"threads": 1}
-    pitch = hold(make_plant(kind, 1, vehicle, **own), 350, V.hover_pwm)[:, PITCH]
+    pitch = hold(plant_of(kind, 1, vehicle), 350, V.hover_pwm)[:, PITCH]
     # tilt (exp(-hold t) - exp(-t/tau))/(1 - hold tau) is 0.56 tilt at most; exp(-2 * 7) = 8e-7 is left.
-    assert 0.3 * tilt < pitch.max() < 0.7 * tilt and abs(pitch[-1]) < 1e-4 * tilt
-    still, state = (
-        make_plant(kind, 1, V.changed(effects_attitude_hold=2.0), **own),
-        start_states(1, vehicle=V),
-    )
+    assert 0.3 * TILT < pitch.max() < 0.7 * TILT and abs(pitch[-1]) < 1e-4 * TILT
+    still, state = plant_of(kind, 1, V.changed(effects_attitude_hold=2.0)), start_states(1)
     state[0, PITCH] = 0.1
     pitch = hold(still, 50, V.hover_pwm, state, pitch=0.1 / V.attitude_gain)[:, PITCH]
     np.testing.assert_allclose(pitch, 0.1, atol=1e-6)
@@ -642,34 +635,28 @@ def test_slower_spin_down_is_exact(options):
 # --- touchdown, in MuJoCo ----------------------------------------------------------------------------
 
 
+UP, SLOPE = np.array([[math.sin(ALPHA), 0, math.cos(ALPHA)], [math.cos(ALPHA), 0, -math.sin(ALPHA)]])
+
+
 def touch(vehicle, steps=40) -> np.ndarray:
     """(steps, 13) states of a vehicle that drops 3 cm, sliding, onto the slab with its motors off."""
     plant = MujocoPlant(1, vehicle)
-    alpha = V.platform_inclination
-    up, slope = (
-        np.array([math.sin(alpha), 0, math.cos(alpha)]),
-        np.array([math.cos(alpha), 0, -math.sin(alpha)]),
-    )
     state = np.zeros((1, 13))
-    state[0, :3] = [0, 0, V.platform_surface_height] + up * 0.05
-    state[0, PITCH], state[0, VX : VZ + 1] = alpha, -0.5 * up + 0.4 * slope
+    state[0, :3] = [0, 0, V.platform_surface_height] + UP * 0.05
+    state[0, PITCH], state[0, VX : VZ + 1] = ALPHA, -0.5 * UP + 0.4 * SLOPE
     plant.reset([0], state)
     rows = []
     for _ in range(steps):
-        plant.step(np.array([[0.0, 0.0, alpha / V.attitude_gain, 0.0]]))
+        plant.step(np.array([[0.0, 0.0, ALPHA / V.attitude_gain, 0.0]]))
         rows.append(plant.state[0].copy())
     return np.array(rows)
 
 
 @pytest.mark.parametrize("name", TOUCHDOWN)
 def test_touchdown_effects_act(name):
-    alpha, nominal, flown = V.platform_inclination, touch(V), touch(changed(name))
+    nominal, flown = touch(V), touch(changed(name))
     np.testing.assert_array_equal(nominal[0], flown[0])  # no foot has touched
-    up, slope = (
-        np.array([math.sin(alpha), 0, math.cos(alpha)]),
-        np.array([math.cos(alpha), 0, -math.sin(alpha)]),
-    )
-    height, along = (lambda s: s[:, :3] @ up), (lambda s: s[:, :3] @ slope)
+    height, along = (lambda s: s[:, :3] @ UP), (lambda s: s[:, :3] @ SLOPE)
     if name == "friction":
         assert along(flown)[-1] < along(nominal)[-1] - 0.02  # slides back down the slope
     elif name == "contact_stiffness":
@@ -680,7 +667,7 @@ def test_touchdown_effects_act(name):
         assert (height(flown) - height(nominal))[-1] == pytest.approx(0.004, abs=2e-4)
     elif name == "platform_height":
         rise = changed(name).platform_surface_height - V.platform_surface_height
-        assert (height(flown) - height(nominal))[-1] == pytest.approx(rise * math.cos(alpha), abs=2e-4)
+        assert (height(flown) - height(nominal))[-1] == pytest.approx(rise * math.cos(ALPHA), abs=2e-4)
     else:
         assert flown[-1, PITCH] - nominal[-1, PITCH] == pytest.approx(0.05, abs=1e-3)
 

@@ -171,14 +171,8 @@ def test_a_batch_equals_single_simulations_bit_for_bit(threads, integrator):
         batch.append(plant.state.copy())
         touched |= plant.contacts.touch.any(axis=(1, 2))
     assert touched.sum() >= 2 and not touched.all()  # with contact and without
-    positions, quaternions = geometry.platform_poses(INCLINATIONS, np.ones(n, bool), V)
     for i in range(n):
-        data = mujoco.MjData(plant.model)
-        for k, name in enumerate(PLATFORM_BODIES):
-            mocap = plant.model.body(name).mocapid[0]
-            data.mocap_pos[mocap], data.mocap_quat[mocap] = positions[i, k], quaternions[i, k]
-        s = states[i]
-        data.qpos[:] = [*s[:3], *quaternion(*s[ROLL : YAW + 1])]
+        data, s = engine_data(states[i], INCLINATIONS[i], plant.model), states[i]
         data.qvel[:], data.act[:] = [*s[VX : VZ + 1], *s[YAW + 1 : LAG]], s[LAG]
         for step in range(steps):
             data.ctrl[:] = commands[step, i]

@@ -61,6 +61,13 @@ def begin(plant, choice):
     return plant
 
 
+def alone(kind, vehicle, **options):
+    plant = make_plant(kind, 1, vehicle, **options)
+    plant.set_platform([0], plant.inclination)
+    plant.reset([0], starts(1))
+    return plant
+
+
 def flight(plant, commands):
     """Everything that is seen of each vehicle: (n, ...)."""
     rows = []
@@ -90,10 +97,7 @@ def test_each_flies_as_in_a_plant_of_its_own(kind, options, members):
     together = begin(make_plant(kind, len(pool), own, pool=pool, **options), np.arange(1, len(pool) + 1))
     found = flight(together, commands())
     for k, vehicle in enumerate(pool):
-        alone = make_plant(kind, 1, vehicle, **options)
-        alone.set_platform(np.arange(1), alone.inclination)
-        alone.reset(np.arange(1), starts(1))
-        expected = flight(alone, commands())[0]
+        expected = flight(alone(kind, vehicle, **options), commands())[0]
         np.testing.assert_array_equal(found[k], expected, err_msg=list(members)[k])
     touched = found[:, :, 26 : 26 + 9].any(axis=(1, 2))
     assert touched.mean() > 0.25
@@ -106,10 +110,8 @@ def test_vehicles_with_and_without_loads_share_a_plant(kind, options):
     together = begin(make_plant(kind, 3, V, pool=pool, **options), [0, 1, 2])
     found = flight(together, commands(10))[..., :13]
     for k, vehicle in enumerate((V, *pool)):
-        alone = make_plant(kind, 1, vehicle, **options)
-        alone.set_platform(np.arange(1), alone.inclination)
-        alone.reset(np.arange(1), starts(1))
-        np.testing.assert_allclose(found[k], flight(alone, commands(10))[0, :, :13], rtol=1e-7, atol=1e-7)
+        own = flight(alone(kind, vehicle, **options), commands(10))[0, :, :13]
+        np.testing.assert_allclose(found[k], own, rtol=1e-7, atol=1e-7)
 
 
 @pytest.mark.parametrize("kind, options", [ANALYTIC, MUJOCO, HYBRID])
@@ -138,11 +140,9 @@ def test_deviations_act_on_top_of_the_pools():
     pooled = begin(make_plant("mujoco", 2, V, pool=[FIELDS["mass"]]), [0, 1])
     pooled.perturb(mass_scale=1.2)
     for i, vehicle in enumerate((V, FIELDS["mass"])):
-        alone = make_plant("mujoco", 1, vehicle)
-        alone.set_platform(np.arange(1), alone.inclination)
-        alone.reset(np.arange(1), starts(1))
-        alone.perturb(mass_scale=1.2)
-        mass = (plant.batch.expanded("body_mass")[k] for plant, k in ((pooled, i), (alone, 0)))
+        own = alone("mujoco", vehicle)
+        own.perturb(mass_scale=1.2)
+        mass = (plant.batch.expanded("body_mass")[k] for plant, k in ((pooled, i), (own, 0)))
         np.testing.assert_array_equal(*mass)
 
 

@@ -19,7 +19,7 @@ from hypothesis import strategies as st
 from markdown_it import MarkdownIt
 
 from inclined_landing.envs.flights import record_flights
-from inclined_landing.envs.history import History, input_centre, input_names, input_scale
+from inclined_landing.envs.history import History
 from inclined_landing.envs.policy import Policy, load_policy, locate
 from inclined_landing.envs.tasks import Start, Task, make_task
 from inclined_landing.envs.tasks.base import COLUMNS
@@ -31,7 +31,7 @@ from inclined_landing.models.base import storage
 from inclined_landing.models.base.errors import UserError, shown
 from inclined_landing.models.parameters import load_vehicle
 from tests.eval.export import compiled
-from tests.policy_files import Spaces, restamp, written
+from tests.policy_files import Spaces, pilot, restamp, written
 
 POLICIES = ("landing-nominal", "landing", "setpoint", "touchdown-nominal")
 # float32 sums of 64 products of size 1 at 6e-8 each, through two layers and a gain of about 3: some 1e-6.
@@ -333,11 +333,11 @@ class AnyTask(Task):
 
 
 @st.composite
-def policies(draw, hidden=(2, 2)):
-    """A policy with a random network of as many hidden layers, for a task with as many numbers."""
+def policies(draw):
+    """A policy with a random network of two hidden layers, for a task with as many numbers."""
     o, a, k = draw(st.integers(1, 12)), draw(st.integers(1, 4)), draw(st.sampled_from([0, 0, 1, 5]))
     task = AnyTask(o, a, k)
-    sizes = [o + k * (o + a), *draw(st.lists(st.integers(1, 40), min_size=hidden[0], max_size=hidden[1])), a]
+    sizes = [o + k * (o + a), *draw(st.lists(st.integers(1, 40), min_size=2, max_size=2)), a]
     rng = np.random.default_rng(draw(st.integers(0, 2**32 - 1)))
     gain = draw(st.sampled_from([0.1, 1.0, 2.0]))
     squashed, scaled = draw(st.booleans()), draw(st.booleans())
@@ -356,8 +356,11 @@ def policies(draw, hidden=(2, 2)):
     )
 
 
-def any_network_is_exported(policy, tmp_path):
-    terms = contract.describe(policy)
+@NO_COMPILER
+@hypothesis.settings(max_examples=6)
+@hypothesis.given(policy=policies())
+def test_networks_of_any_size_and_kind(policy, tmp_path_factory):
+    tmp_path, terms = tmp_path_factory.mktemp("fuzz"), contract.describe(policy)
     rng = np.random.default_rng(1)
     o = len(policy.task.observation_names)
     tested = vectors.sequence(policy, np.zeros((8, 13)), rng.normal(scale=2.0, size=(8, o)))
@@ -374,13 +377,6 @@ def any_network_is_exported(policy, tmp_path):
         got = answers(folder, format, library)(inputs)
         np.testing.assert_allclose(got, policy.predict(inputs), rtol=0.0, atol=5e-5, err_msg=format)
     shutil.rmtree(folder)
-
-
-@NO_COMPILER
-@hypothesis.settings(max_examples=6)
-@hypothesis.given(policy=policies())
-def test_networks_of_any_size_and_kind(policy, tmp_path_factory):
-    any_network_is_exported(policy, tmp_path_factory.mktemp("fuzz"))
 
 
 # --- the command --------------------------------------------------------------------------------------
@@ -450,15 +446,12 @@ def test_what_a_policy_is_told_of_its_vehicle_is_part_of_its_export(tmp_path):
     """For the Hummingbird: the export is given the plain observation, and answers as the policy does."""
     vehicle = load_vehicle("hummingbird")
     task = make_task("landing", vehicle, observe_vehicle=True, pwm_centre="own")
-    rng = np.random.default_rng(0)
-    weight = rng.normal(0.0, 0.3, (len(input_names(task)), 2))
-    scaling = input_centre(task), input_scale(task), 10.0
-    told = Policy(task, {}, locate("landing"), *scaling, (weight,), (np.zeros(2),), "Tanh")
+    told = pilot(task)
     terms = write(told, "onnx", tmp_path / "out")
     assert terms["input"]["names"] == list(task.observation_names)
     assert terms["action"][0]["centre"] == pytest.approx(vehicle.hover_pwm)
     assert terms["vehicle"]["differences"]["body_mass"] == 0.5
-    rows = rng.normal(scale=0.5, size=(20, 5)).astype(np.float32)
+    rows = np.random.default_rng(0).normal(scale=0.5, size=(20, 5)).astype(np.float32)
     inputs = History(task, 20).stack(rows)
     got = session(tmp_path / "out").run(None, {"input": rows})[0]
     np.testing.assert_allclose(got, told.predict(inputs), rtol=0.0, atol=TOLERANCE)

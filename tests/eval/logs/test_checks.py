@@ -68,20 +68,15 @@ def flight(
 
 def change(log: FlightLog, **columns) -> FlightLog:
     """The flight with changed columns, by their names in the CSV."""
-    arrays = {
+    fields = {
         "position": ["x", "y", "z"],
         "attitude": ["roll", "pitch", "yaw"],
         "velocity": ["vx", "vy", "vz"],
+        "command": ["cmd_thrust_pwm", "cmd_roll", "cmd_pitch", "cmd_yaw_rate"],
     }
-    arrays["command"] = ["cmd_thrust_pwm", "cmd_roll", "cmd_pitch", "cmd_yaw_rate"]
-    changed = {}
-    for field, names in arrays.items():
-        if set(names) & set(columns):
-            values = getattr(log, field).copy()
-            for i, name in enumerate(names):
-                values[:, i] = columns.get(name, values[:, i])
-            changed[field] = values
-    return dataclasses.replace(log, **changed)
+    table = log_table(log).assign(**columns)
+    changed = {field: names for field, names in fields.items() if set(names) & set(columns)}
+    return dataclasses.replace(log, **{f: table[names].to_numpy(float) for f, names in changed.items()})
 
 
 def found(log: FlightLog, decision: str) -> list[str]:

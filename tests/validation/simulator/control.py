@@ -10,6 +10,7 @@ would hide a centre of mass that is off from everybody.
 import math
 
 import numba
+import numpy as np
 
 from .dynamics import SIDE_X, SIDE_Y, SPIN
 from .vehicle import FULL_STATE, INCREMENTAL
@@ -175,22 +176,18 @@ def cascade(off_roll, off_pitch, roll_ahead, pitch_ahead, roll, pitch, gyro, mem
         off_pitch / time - damping * pitch_rate + pitch_ahead,
         memory[SETPOINT + 2],
     )
-    smooth = math.exp(-dt / b.derivative_filter)
+    asked, smooth = np.array([p, q]), math.exp(-dt / b.derivative_filter)
     for k in range(2):
-        wanted = p if k == 0 else q
         before = memory[SMOOTH + k]
         memory[SMOOTH + k] = gyro[k] + smooth * (before - gyro[k])
         turning = (memory[SMOOTH + k] - before) / dt if memory[AWAKE] != 0.0 else 0.0
-        error = wanted - gyro[k]
+        error = asked[k] - gyro[k]
         memory[INTEGRAL + k] += dt * (error - memory[INTEGRAL + k] / b.integral_leak)
-        asked = bandwidth * error + slower * b.integral * memory[INTEGRAL + k] - b.derivative * turning
-        if k == 0:
-            p = asked
-        else:
-            q = asked
+        integral = slower * b.integral * memory[INTEGRAL + k]
+        asked[k] = bandwidth * error + integral - b.derivative * turning
     # Yaw turns with the rates that are, not with those that roll and pitch ask for.
     _, _, o = body_rates(roll, pitch, roll_rate, pitch_rate, memory[SETPOINT + 2])
-    return p, q, c.yaw_bandwidth * (o - gyro[2])
+    return asked[0], asked[1], c.yaw_bandwidth * (o - gyro[2])
 
 
 @numba.njit(cache=True)
@@ -208,26 +205,20 @@ def incremental(wanted_roll, wanted_pitch, roll, pitch, gyro, memory, time, dt, 
     e23 = -sw * dw * c_ + cw * dw * s
     e13 = d * tw - s * t * sw * dw - c_ * t * cw * dw
     e31 = dw * t - sw * tw * s * d - cw * tw * c_ * d
-    error_x, error_y = 0.5 * (e32 - e23), 0.5 * (e13 - e31)
+    asked = np.array([0.5 * (e32 - e23), 0.5 * (e13 - e31)])
     smooth = math.exp(-dt / b.derivative_filter)
     motor = c.motor_time * (1.0 - b.lead)
     follow = math.exp(-dt / motor) if motor > 0.0 else 0.0
     quick = c.rate_bandwidth / (1.0 + w.rate_lag * c.rate_bandwidth)
-    asked_p = asked_q = 0.0
     for k in range(2):
         before = memory[SMOOTH + k]
         memory[SMOOTH + k] = gyro[k] + smooth * (before - gyro[k])
         turning = (memory[SMOOTH + k] - before) / dt if memory[AWAKE] != 0.0 else 0.0
-        asked = memory[TORQUE + k] / c.inertia[k]
-        memory[MOTOR + k] = asked + follow * (memory[MOTOR + k] - asked)
+        torque = memory[TORQUE + k] / c.inertia[k]
+        memory[MOTOR + k] = torque + follow * (memory[MOTOR + k] - torque)
         memory[LATE + k] = memory[MOTOR + k] + smooth * (memory[LATE + k] - memory[MOTOR + k])
-        error = error_x if k == 0 else error_y
-        now = quick * (error / time - gyro[k]) + b.kept_torque * (memory[LATE + k] - turning)
-        if k == 0:
-            asked_p = now
-        else:
-            asked_q = now
-    return asked_p, asked_q, c.yaw_bandwidth * (memory[SETPOINT + 2] * c_ * d - gyro[2])
+        asked[k] = quick * (asked[k] / time - gyro[k]) + b.kept_torque * (memory[LATE + k] - turning)
+    return asked[0], asked[1], c.yaw_bandwidth * (memory[SETPOINT + 2] * c_ * d - gyro[2])
 
 
 @numba.njit(cache=True)
@@ -241,15 +232,9 @@ def full_state(off_roll, off_pitch, roll, gyro, memory, time, dt, c, b, w):
     angle_gain = lag * slow * quick * quick
     rate_gain = lag * (quick * quick + 2.0 * b.pole_damping * quick * slow)
     torque_gain = lag * (slow + 2.0 * b.pole_damping * quick) - 1.0
-    follow = math.exp(-dt / lag)
-    asked_p = asked_q = 0.0
+    asked, follow = np.array([off_roll, off_pitch]), math.exp(-dt / lag)
     for k in range(2):
-        asked = memory[TORQUE + k] / c.inertia[k]
-        memory[MOTOR + k] = asked + follow * (memory[MOTOR + k] - asked)
-        off = off_roll if k == 0 else off_pitch
-        now = angle_gain * off - rate_gain * gyro[k] - torque_gain * memory[MOTOR + k]
-        if k == 0:
-            asked_p = now
-        else:
-            asked_q = now
-    return asked_p, asked_q, c.yaw_bandwidth * (memory[SETPOINT + 2] * math.cos(roll) - gyro[2])
+        torque = memory[TORQUE + k] / c.inertia[k]
+        memory[MOTOR + k] = torque + follow * (memory[MOTOR + k] - torque)
+        asked[k] = angle_gain * asked[k] - rate_gain * gyro[k] - torque_gain * memory[MOTOR + k]
+    return asked[0], asked[1], c.yaw_bandwidth * (memory[SETPOINT + 2] * math.cos(roll) - gyro[2])

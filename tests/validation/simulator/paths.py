@@ -9,10 +9,6 @@ import numpy as np
 from . import control
 from .vehicle import PILOT_RATE
 
-KINDS = (
-    *("climb", "lateral", "steps", "circle", "yaw", "low_pass", "thrust", "waypoints", "loop", "low_hover"),
-)
-
 
 class Path:
     """A reference written piece by piece: rows (k, REF_SIZE) at the pilot's rate."""
@@ -59,7 +55,7 @@ class Path:
         self.yaw += turn
         return self
 
-    def ellipse(self, first, second, rate: float, turns: float, turn: float = 0.0) -> Path:
+    def ellipse(self, first, second, rate: float, turns: float) -> Path:
         """Ride position + first (1 - cos a) + second sin a, a from rest to rest."""
         first, second = np.asarray(first, float), np.asarray(second, float)
         total = 2 * math.pi * turns
@@ -76,9 +72,6 @@ class Path:
         rows[:, :3] = self.position + first * (1 - cos) + second * sin
         rows[:, 3:6] = (first * sin + second * cos) * speed
         rows[:, 6:9] = (first * cos - second * sin) * speed**2 + (first * sin + second * cos) * gain
-        rows[:, control.REF_YAW] = self.yaw + turn * u
-        rows[:, control.REF_YAW_RATE] = turn / seconds
-        self.yaw += turn
         return self
 
     def kick(self, roll: float, pitch: float, seconds: float) -> Path:
@@ -258,9 +251,10 @@ def _low_hover(path, u, lowest):
     path.move(_height(path, u(0.5, 1.2)), u(1.2, 2.0))
 
 
-_PIECES = dict(
-    zip(
-        KINDS,
-        (_climb, _lateral, _steps, _circle, _yaw, _low_pass, _thrust, _waypoints, _loop, _low_hover),
+_PIECES = {
+    piece.__name__.removeprefix("_"): piece
+    for piece in (
+        *(_climb, _lateral, _steps, _circle, _yaw, _low_pass, _thrust, _waypoints, _loop, _low_hover),
     )
-)
+}
+KINDS = tuple(_PIECES)
