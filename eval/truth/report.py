@@ -3,9 +3,9 @@
 from __future__ import annotations
 
 import math
+import threading
 import tomllib
 from collections.abc import Callable, Mapping
-from concurrent.futures import ThreadPoolExecutor
 from importlib import resources
 from pathlib import Path
 
@@ -15,6 +15,7 @@ from inclined_landing.envs.shared.tables import say
 from inclined_landing.eval.base.claims import Claim, Section, number
 from inclined_landing.eval.base.page import of_sections, png
 from inclined_landing.models.base import storage
+from inclined_landing.models.threads import in_threads
 
 
 class Words:
@@ -48,32 +49,36 @@ class Words:
         return Section(key, entry["title"], entry["text"].format(**filling), claims, **fields)
 
 
-def measured(work: Mapping[str, Callable[[], Section]], longest: str) -> list[Section]:
-    """Return the section of every measurement, in their order.
+def measured(work: Mapping[str, Callable[[], Section]]) -> tuple[list[Section], dict[str, bytes]]:
+    """Return the section of every measurement, in their order, and the figures as PNG files by name.
 
-    The longest is measured in this thread, the others one after the other in a second: most of their time is
-    the engine's, which runs without the interpreter's lock. After an interruption the second thread ends with
-    the measurement that it has begun.
+    Two are measured and drawn at a time: most of their time is the engine's, which runs without the
+    interpreter's lock. After an interruption the second thread ends with the measurement that it has begun.
     """
+    found: dict[str, Section] = {}
+    images: dict[str, bytes] = {}
+    left, drawing = iter(work.items()), threading.Lock()
     with stages(len(work)) as tick:
 
-        def measure(name: str) -> Section:
-            tick(name)
-            return work[name]()
+        def measure(_: int) -> None:
+            for name, measurement in left:
+                tick(name)
+                found[name] = section = measurement()
+                with drawing:  # matplotlib's settings are those of all threads
+                    images.update({file: png(section.draw()) for file in section.figures if section.draw})
 
-        pool = ThreadPoolExecutor(1)
         try:
-            others = {name: pool.submit(measure, name) for name in work if name != longest}
-            found = {longest: measure(longest)} | {name: other.result() for name, other in others.items()}
+            in_threads(measure, range(2))
         finally:
-            pool.shutdown(wait=False, cancel_futures=True)
-    return [found[name] for name in work]
+            list(left)  # nothing else begins
+    return [found[name] for name in work], images
 
 
 def publish(
     out: Path,
     name: str,
     sections: list[Section],
+    images: Mapping[str, bytes],
     record: dict,
     title: str,
     lead: str,
@@ -81,10 +86,9 @@ def publish(
 ) -> bool:
     """Write NAME.html, NAME.json and the figures into the new folder `out`; return whether all claims hold.
 
-    record: content of the JSON file, with `versions`; the sections are added. run: the command. Prints the
-    claims that do not hold.
+    images: the figures by file name. record: content of the JSON file, with `versions`; the sections are
+    added. run: the command. Prints the claims that do not hold.
     """
-    images = {file: png(section.draw()) for section in sections if section.draw for file in section.figures}
     record["sections"] = {section.key: section.record() for section in sections}
     page = of_sections(sections, images, title=title, lead=lead, run=run, versions=record["versions"])
     with runs.staged_run(out) as folder:

@@ -22,13 +22,14 @@ def command(*, out: RunFolder, vehicle: VehicleFile = None) -> int:
     from inclined_landing.models.parameters import load_vehicle
 
     tested = load_vehicle(vehicle)
-    sections = measured({name: partial(law, tested) for name, law in laws.LAWS.items()}, laws.LONGEST)
+    sections, images = measured({name: partial(law, tested) for name, law in laws.LAWS.items()})
     spring = tested.contact_solref
     setting = f"friction {tested.contact_friction:g}, solref {spring[0]:g} s, {spring[1]:g}"
     held = publish(
         out,
         "contact",
         sections,
+        images,
         {"versions": runs.versions()},
         title="Contact compared with mechanics",
         lead=f"The vehicle of this package in MuJoCo, contact setting {setting}, RK4 at 4 ms unless a line "

@@ -370,4 +370,3 @@ def parts(vehicle: Vehicle) -> Section:
 
 
 LAWS = {f.__name__: f for f in (rest, slip, restitution, impulse, penetration, convergence, tumbling, parts)}
-LONGEST = "tumbling"

@@ -9,7 +9,6 @@ from __future__ import annotations
 
 import mujoco
 import numpy as np
-from scipy.integrate import solve_ivp
 
 from inclined_landing.eval.base.claims import Section, Table
 from inclined_landing.eval.truth.equivalence.flying import WORDS
@@ -60,6 +59,7 @@ def simulate(integrator: str, gravity: float, damped: bool) -> tuple[np.ndarray,
 
 def exact(gravity: float, damped: bool) -> np.ndarray:
     """Return the rates (steps + 1, 3) [rad/s] by Euler's equations."""
+    from scipy.integrate import solve_ivp  # here, as it takes half a second while others are measured
 
     def change(time, w):
         torque = -damping(time, gravity) * w if damped else 0.0

@@ -32,7 +32,7 @@ def command(
 
     loaded = load_policy("landing", vehicle=None if vehicle is None else load_vehicle(vehicle))
     began = time.monotonic()
-    sections = measured.measure(loaded, seed, quick)
+    sections, images = measured.measure(loaded, seed, quick)
     seconds = round(time.monotonic() - began, 1)
     claims = [c for s in sections for c in s.claims]
     record = {
@@ -52,6 +52,7 @@ def command(
         out,
         "report",
         sections,
+        images,
         record,
         title="The MuJoCo vehicle and the paper's model",
         lead="The MuJoCo vehicle, with its native plugins, against the equations of Kooi and Babuska "

@@ -125,12 +125,12 @@ def one_step(plant, commands: np.ndarray, starts: np.ndarray, flown: np.ndarray)
     """Return the states (steps, n, 13) one control step after every state of the flights `flown`."""
     everyone = np.arange(plant.n)
     plant.set_platform(everyone, plant.vehicle.platform_inclination, False)
-    landed = np.empty_like(flown)
+    stepped = np.empty_like(flown)
     for k, command in enumerate(commands):
         plant.reset(everyone, starts if k == 0 else flown[k - 1])
         plant.step(command)
-        landed[k] = plant.state
-    return landed
+        stepped[k] = plant.state
+    return stepped
 
 
 def measure(
@@ -144,9 +144,9 @@ def measure(
     n, mode = len(starts), attitude.replace("_", " ")
     found = accelerations(vehicle, attitude, count, seed)
     flown = flying.fly(equations(n, attitude, vehicle=vehicle), commands, starts)
-    stepped = one_step(engine(n, attitude, vehicle), commands, starts, flown)
     landed = flying.fly(engine(n, attitude, vehicle), commands, starts)
-    step, flight = Gaps.of(sequences, stepped, flown), Gaps.of(sequences, landed, flown)
+    stepped = one_step(equations(n, attitude, vehicle=vehicle), commands, starts, landed)
+    step, flight = Gaps.of(sequences, landed, stepped), Gaps.of(sequences, landed, flown)
     where = f"{mode}, {count} random states"
     claims = [WORDS.claim("levels", key, value, where=where) for key, value in found.items()]
     largest = float(step.position.max()), float(step.angle.max())

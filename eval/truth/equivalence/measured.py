@@ -26,8 +26,8 @@ QUICK_SEQUENCES, QUICK_STATES = 4, 200
 QUICK_STARTS = 4  # every fourth of the frozen grid
 
 
-def measure(policy: Policy, seed: int, quick: bool) -> list[Section]:
-    """Return all sections."""
+def measure(policy: Policy, seed: int, quick: bool) -> tuple[list[Section], dict[str, bytes]]:
+    """Return all sections and their figures."""
     v = policy.task.vehicle
     n, states = (QUICK_SEQUENCES, QUICK_STATES) if quick else (SEQUENCES, STATES)
     starts = landing_starts.clear(policy.task, landing_starts.grid())[:: QUICK_STARTS if quick else 1]
@@ -45,4 +45,4 @@ def measure(policy: Policy, seed: int, quick: bool) -> list[Section]:
         "check cases": lambda: check_cases.section(v),
         "inconsistencies": lambda: inconsistencies.section(v, by_label["recorded, 2-D"]),
     }
-    return measured(work, "three levels")
+    return measured(work)

@@ -56,7 +56,6 @@ def test_a_drop_that_is_no_longer_followed_gains_no_energy(monkeypatch):
 
 def test_the_page_is_written(tmp_path, monkeypatch, capsys):
     monkeypatch.setattr(laws, "LAWS", {k: laws.LAWS[k] for k in ("slip", "parts")})
-    monkeypatch.setattr(laws, "LONGEST", "parts")
     out = tmp_path / "page"
     assert main(["contact", "--out", str(out)]) == 0
     assert sorted(p.name for p in out.iterdir()) == ["contact.html", "contact.json", "slip.png"]
@@ -70,7 +69,6 @@ def test_the_page_is_written(tmp_path, monkeypatch, capsys):
 
 def test_a_claim_that_fails_is_exit_code_1(tmp_path, monkeypatch, capsys):
     monkeypatch.setattr(laws, "LAWS", {"slip": laws.slip})
-    monkeypatch.setattr(laws, "LONGEST", "slip")
     monkeypatch.setitem(laws.WORDS.tables["slip"]["onset"], "high", 0.01)  # its resolution is 0.1 deg
     assert main(["contact", "--out", str(tmp_path / "page")]) == 1
     assert "not met: onset of sliding" in capsys.readouterr().out

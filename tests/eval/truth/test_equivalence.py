@@ -192,7 +192,7 @@ def test_command_writes_page_json_and_figures(tmp_path):
 def test_failing_claims_give_exit_code_1(tmp_path, capsys, monkeypatch):
     failing = Claim("water is dry", 1.0, 0.0, "m", "it is not, so this claim has to fail")
     section = Section("levels", "Levels", ["Text."], [failing])
-    monkeypatch.setattr(measured, "measure", lambda *_: [section])
+    monkeypatch.setattr(measured, "measure", lambda *_: ([section], {}))
     assert cli.main(["equivalence", "--out", str(tmp_path / "run")]) == 1
     assert "not met: water is dry: 1 m, tolerance at most 0" in capsys.readouterr().out
     assert "1 of 1 claims are not met" in (tmp_path / "run" / "report.html").read_text()
