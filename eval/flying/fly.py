@@ -72,8 +72,8 @@ class FlightOptions:
         from inclined_landing.envs.policy import load_policy, trained_task
         from inclined_landing.envs.tasks import make_task
         from inclined_landing.envs.tasks.frozen import PAPER_STARTS
-        from inclined_landing.eval.base.starts import parse_starts
         from inclined_landing.eval.flying.plan import read_planned
+        from inclined_landing.eval.pictures.starts import parse_starts
 
         room = load_vehicle(self.arena) if self.arena is not None else load_vehicle()
         angle = room.platform_inclination if self.inclination is None else math.radians(self.inclination)

@@ -11,10 +11,10 @@ import numpy as np
 
 from inclined_landing.envs.hover import HAND_OVER_SPEED
 from inclined_landing.envs.policy import Policy
-from inclined_landing.eval.base.fence import beyond_fence
-from inclined_landing.eval.base.tracking import Tracker, Trajectory, read_trajectory, thrust_and_angles
+from inclined_landing.eval.flying.fence import beyond_fence
 from inclined_landing.eval.flying.safety import SPEED_LIMIT, Phase
 from inclined_landing.eval.flying.surroundings import Surroundings
+from inclined_landing.eval.flying.tracking import Tracker, Trajectory, read_trajectory, thrust_and_angles
 from inclined_landing.models.attitude import ROLL, STATE_SIZE, VX, VZ, YAW, X, Z
 from inclined_landing.models.base.errors import UserError
 from inclined_landing.models.vehicle import Vehicle

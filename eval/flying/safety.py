@@ -13,8 +13,8 @@ from collections.abc import Iterator
 import numpy as np
 
 from inclined_landing.envs.tasks.landing import BOUND_MARGIN
-from inclined_landing.eval.base.fence import FLOOR, beyond_fence
 from inclined_landing.eval.flying.estimate import StateEstimate
+from inclined_landing.eval.flying.fence import FLOOR, beyond_fence
 from inclined_landing.eval.flying.surroundings import IMPACT_DISTANCE
 from inclined_landing.models.attitude import VX, VZ, X, Z
 from inclined_landing.models.vehicle import Vehicle

@@ -24,8 +24,8 @@ def command(policy: PolicyFile, /, *, out: Folder, start: Starts = (), flown: Fl
         start: start of a flight in metres, X,Z or (setpoint) X,Y,Z; repeatable (default: the first two of the
             task's usual starts; for landing the paper's, 1.5,1.8 and 0,2).
     """
-    from inclined_landing.eval.base.starts import parse_starts, usual_starts
     from inclined_landing.eval.pictures.flights import fly_from, say_outcomes
+    from inclined_landing.eval.pictures.starts import parse_starts, usual_starts
 
     storage.check_folder(out)
     loaded = flown.load(policy)

@@ -11,7 +11,7 @@ from inclined_landing.envs.policy import Policy
 from inclined_landing.envs.shared.tables import say
 from inclined_landing.envs.tasks import Start, Task, hover_states
 from inclined_landing.eval.base.options import Until
-from inclined_landing.eval.base.starts import Point, parse_starts, start_words, usual_starts
+from inclined_landing.eval.pictures.starts import Point, parse_starts, start_words, usual_starts
 from inclined_landing.eval.pictures.to_rest import LandedFlight, to_rest
 
 

@@ -10,13 +10,13 @@ from inclined_landing.envs.policy import Policy
 from inclined_landing.envs.rendering import make_renderer
 from inclined_landing.envs.tasks import InclinedLanding
 from inclined_landing.envs.tasks.landing import LandingConditions
-from inclined_landing.eval.base.starts import usual_starts
 from inclined_landing.eval.base.style import save_figure
 from inclined_landing.eval.pictures import figure, film
 from inclined_landing.eval.pictures.figures.curriculum import curriculum_figure
 from inclined_landing.eval.pictures.flights import fly_from
 from inclined_landing.eval.pictures.frames import flight_view, strobe, write_picture, write_videos
 from inclined_landing.eval.pictures.learning import learning_curves
+from inclined_landing.eval.pictures.starts import usual_starts
 from inclined_landing.eval.pictures.to_rest import to_rest
 
 _LOOK: dict[str, Any] = {"width": 960, "height": 540}  # of video and picture

@@ -82,8 +82,8 @@ def command(
     from inclined_landing.envs.flights import record_flights
     from inclined_landing.envs.shared import runs
     from inclined_landing.envs.shared.tables import say
-    from inclined_landing.eval.base.starts import parse_starts, start_words, usual_starts
     from inclined_landing.eval.pictures.flights import choose_starts
+    from inclined_landing.eval.pictures.starts import parse_starts, start_words, usual_starts
     from inclined_landing.eval.replay.page import write
     from inclined_landing.eval.replay.recording import Recording, from_flight
     from inclined_landing.models.plants import check_plant

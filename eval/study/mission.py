@@ -72,7 +72,7 @@ def command(
     if look.width % 2 or look.height % 2:
         raise UserError(f"width and height of a video must be even, not {look.width} x {look.height}")
     from inclined_landing.envs.rendering import check_picture_options
-    from inclined_landing.eval.base.starts import read_point
+    from inclined_landing.eval.pictures.starts import read_point
     from inclined_landing.eval.study import show
     from inclined_landing.eval.study.engine import fact
     from inclined_landing.eval.study.missions import fly, make_plan, study

@@ -25,11 +25,11 @@ from inclined_landing.envs.policy import load_policy
 from inclined_landing.envs.shared.measures import Row, count_words, counted, median_of, share_of
 from inclined_landing.envs.shared.progress import stages
 from inclined_landing.eval.base.options import Look
-from inclined_landing.eval.base.starts import read_point
 from inclined_landing.eval.base.style import save_figure
 from inclined_landing.eval.pictures import film
 from inclined_landing.eval.pictures.figures.mission import mission_figure
 from inclined_landing.eval.pictures.frames import FPS, strobe, write_picture
+from inclined_landing.eval.pictures.starts import read_point
 from inclined_landing.eval.study.engine import Results, Study, View, count, fact
 from inclined_landing.eval.study.flights import policy_facts
 from inclined_landing.models.attitude import VX, VY, VZ, X, Y, Z

@@ -15,7 +15,7 @@ import numpy as np
 from msgspec import Meta
 
 from inclined_landing.eval.base.options import Folder
-from inclined_landing.eval.base.tracking import thrust_and_angles
+from inclined_landing.eval.flying.tracking import thrust_and_angles
 from inclined_landing.eval.gap import diagnose, thresholds
 from inclined_landing.eval.gap.answer.identification import Identification, identify
 from inclined_landing.eval.gap.plan import SECONDS, design, pieces

@@ -14,8 +14,8 @@ import numpy as np
 from scipy.interpolate import CubicSpline
 
 from inclined_landing.envs.hover import TOLERANCE
-from inclined_landing.eval.base.fence import beyond_fence
-from inclined_landing.eval.base.tracking import Tracker
+from inclined_landing.eval.flying.fence import beyond_fence
+from inclined_landing.eval.flying.tracking import Tracker
 from inclined_landing.eval.gap.plan.information import NoiseLevels
 from inclined_landing.eval.gap.plan.pieces import MARGIN, RATE, Space
 from inclined_landing.eval.gap.plan.setpoints import Setpoints

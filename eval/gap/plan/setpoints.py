@@ -6,7 +6,7 @@ import dataclasses
 
 import numpy as np
 
-from inclined_landing.eval.base.tracking import Trajectory, thrust_and_angles
+from inclined_landing.eval.flying.tracking import Trajectory, thrust_and_angles
 from inclined_landing.eval.gap.plan.pieces import RATE, Path
 from inclined_landing.eval.logs import FlightLog
 from inclined_landing.models.vehicle import Vehicle

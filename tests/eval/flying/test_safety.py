@@ -8,9 +8,9 @@ import pytest
 
 from inclined_landing.envs import load_policy
 from inclined_landing.envs.tasks import hover_states
-from inclined_landing.eval.base.fence import stopping_distance
 from inclined_landing.eval.flying import safety
 from inclined_landing.eval.flying.estimate import StateEstimate
+from inclined_landing.eval.flying.fence import stopping_distance
 from inclined_landing.eval.flying.policies import SetpointFollower
 from inclined_landing.eval.flying.safety import FlightStatus, Phase, Reaction, SafetyMonitor
 from inclined_landing.eval.flying.surroundings import CLEAR, MovingTarget, Surroundings

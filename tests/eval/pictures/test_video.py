@@ -10,9 +10,9 @@ import pytest
 from inclined_landing.envs.flights import Flight
 from inclined_landing.envs.policy import load_policy
 from inclined_landing.envs.tasks import make_task
-from inclined_landing.eval.base.starts import usual_starts
 from inclined_landing.eval.pictures.flights import fly_from
 from inclined_landing.eval.pictures.frames import render_flight, write_videos
+from inclined_landing.eval.pictures.starts import usual_starts
 from inclined_landing.eval.pictures.to_rest import to_rest
 from inclined_landing.eval.study.rest import Fleet, cut_motors
 from inclined_landing.models.base.errors import UserError
