@@ -54,13 +54,9 @@ def of_sections(
     flown vehicles and policies, each with subject, name, value and unit.
     """
     content = {"sections": sections, "title": title, "run": run, "versions": versions, "lead": lead}
-    data = {name: embedded(image) for name, image in images.items()}
+    # Data URLs, so that the page is one file.
+    data = {k: "data:image/png;base64," + base64.b64encode(v).decode("ascii") for k, v in images.items()}
     return render(__package__, "sections.html.j2", images=data, facts=facts, **content)
-
-
-def embedded(image: bytes) -> str:
-    """Return a PNG file as a data URL."""
-    return "data:image/png;base64," + base64.b64encode(image).decode("ascii")
 
 
 def png(figure: Figure) -> bytes:

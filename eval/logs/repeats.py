@@ -8,7 +8,7 @@ last digit, and then jumps by more than the resolution is a placeholder for miss
 from __future__ import annotations
 
 import dataclasses
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Iterable, Mapping
 
 import numpy as np
 
@@ -37,7 +37,7 @@ def without_repeats(
     thrust = channels["cmd_thrust_pwm"]
     groups = [_POSITION, attitude, _VELOCITY, *((key,) for key in (*ROTOR_SPEEDS, "vbat"))]
     groups += [("cmd_thrust_pwm",)] * thrust.measured
-    result, columns = dict[str, Channel](), dict[tuple[str, str], list[str]]()
+    result, columns = dict[str, Channel](), dict[str, list[str]]()
     for group in groups:
         parts = {key: channels[key] for key in group if key in channels}
         for t in _clocks(parts.values()):
@@ -51,14 +51,24 @@ def without_repeats(
                 measured, share = measured_rows(t, value, held.any(axis=1))
                 if share > REWRITTEN:
                     kept &= measured[:, None]
-                    notes.append(rewritten("position" if group == _POSITION else "attitude", share))
+                    notes.append(
+                        f"{'position' if group == _POSITION else 'attitude'} repeats its last value in "
+                        f"{percent(share)} of the rows in motion: it was measured less often than written, "
+                        "and only new values are used"
+                    )
             for (key, part), rows, none in zip(together.items(), kept.T, held.T):
                 if none.any():
                     name = key if key == part.column else f"{part.column} ({key})"
-                    columns.setdefault(_extent(t, none), []).append(name)
+                    start, stop = np.flatnonzero(np.diff(np.r_[False, none, False])).reshape(-1, 2).T
+                    extent = f"{(t[stop - 1] - t[start]).max():.2g} s, in {percent(none.mean())} of the rows"
+                    columns.setdefault(extent, []).append(name)
                 if not rows.all():
                     result[key] = dataclasses.replace(part, t=t[rows], value=part.value[rows])
-    notes += [held_columns(names, *extent) for extent, names in columns.items()]
+    notes += [
+        f"{', '.join(names)} keep{'s' * (len(names) == 1)} one value to the last digit for up to {extent}, "
+        "while the vehicle moves: not measured there, and left out"
+        for extent, names in columns.items()
+    ]
     return result
 
 
@@ -82,23 +92,6 @@ def _held(parts: Mapping[str, Channel], value: np.ndarray, flown: np.ndarray, as
     return held
 
 
-def rewritten(what: str, share: float) -> str:
-    """Return a sentence that a share of the rows in motion repeats a quantity."""
-    return (
-        f"{what} repeats its last value in {percent(share)} of the rows in motion: it was measured less "
-        "often than written, and only new values are used"
-    )
-
-
-def held_columns(names: Sequence[str], share: str, seconds: str) -> str:
-    """Return a sentence on columns with placeholders, their share of the rows and longest duration."""
-    many = len(names) > 1
-    return (
-        f"{', '.join(names)} keep{'' if many else 's'} one value to the last digit for up to {seconds}, in "
-        f"{share} of the rows, while the vehicle moves: not measured there, and left out"
-    )
-
-
 def percent(share: float) -> str:
     """Return a share as text, never as 0 %."""
     return f"{100 * share:.0f} %" if share >= 0.01 else f"{100 * share:.1g} %"
@@ -111,13 +104,6 @@ def _clocks(parts: Iterable[Channel]) -> list[np.ndarray]:
         if len(part.t) > 1 and not any(np.array_equal(part.t, t) for t in clocks):
             clocks.append(part.t)
     return clocks
-
-
-def _extent(t: np.ndarray, held: np.ndarray) -> tuple[str, str]:
-    """Return the share of held rows (m,) and their longest duration, as text."""
-    start, stop = np.flatnonzero(np.diff(np.r_[False, held, False])).reshape(-1, 2).T
-    longest = (t[stop - 1] - t[start]).max()
-    return percent(held.mean()), f"{longest:.2g} s"
 
 
 def repeat_starts(value: np.ndarray) -> np.ndarray:

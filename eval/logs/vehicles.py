@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import shlex
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 
 import numpy as np
 
@@ -25,14 +25,13 @@ def choose(records: Sequence[Record], where: Mapping[str, str | float]) -> list[
     """
     records = list(records)
     for column, wanted in where.items():
-        if not any(column in _names(record) for record in records):
-            known = [name for record in records for name in _names(record)]
+        if not any(column in _cells(record) for record in records):
+            known = [name for record in records for name in _cells(record)]
             none = "" if known else "; rows are chosen in tables only: a mapping file names a bag's topics"
             named = f"; {choices(dict.fromkeys(known), column)}" if known else none
             raise UserError(f"{records[0].path}: no column {shown(column)} to choose rows by{named}")
         for k, record in enumerate(records):
-            if column in _names(record):
-                values = _values(record, column)
+            if (values := _cells(record).get(column)) is not None:
                 rows = np.array([_same(value, wanted) for value in values])
                 if not rows.any():
                     found = [shown(_plain(value), 40) for value in _distinct(values)]
@@ -49,8 +48,8 @@ def check_one(record: Record, t: np.ndarray, position: Sequence[str]) -> None:
     """
     order = np.argsort(t, kind="stable")
     way = np.array([record.columns[name][order] for name in position if name in record.columns])
-    for name in _names(record):
-        values = _values(record, name)[order]
+    for name, values in _cells(record).items():
+        values = values[order]
         distinct = _distinct(values)
         changes = int((values[1:] != values[:-1]).sum())
         if not 2 <= len(distinct) <= MOST_VEHICLES or changes < CHANGES * len(distinct):
@@ -71,12 +70,10 @@ def _length(way: np.ndarray) -> float:
     return float(np.nansum(np.abs(np.diff(way, axis=1))))
 
 
-def _names(record: Record) -> Iterator[str]:
-    return iter(() if record.times and not record.is_table else (*record.labels, *record.columns))
-
-
-def _values(record: Record, name: str) -> np.ndarray:
-    return record.labels[name] if name in record.labels else record.columns[name]
+def _cells(record: Record) -> dict[str, np.ndarray]:
+    """Return the columns (m,) of a table by name, with words where it has them; nothing of other formats."""
+    is_table = record.is_table or not record.times
+    return {**record.labels, **record.columns, **record.labels} if is_table else {}
 
 
 def _distinct(values: np.ndarray) -> list:

@@ -37,22 +37,12 @@ def continue_flights(flights: Sequence[Flight], until: Until) -> list[Flight]:
     return [to_rest(flight) for flight in flights] if until == "rest" else list(flights)
 
 
-def say_outcome(flight: Flight, name: str) -> None:
-    """Print one line about a flight."""
-    outcome = flight.task.flight_words(flight)
-    if isinstance(flight, LandedFlight):
-        outcome += f", motors cut: {flight.ending}"
-    say(f"{name}: from {start_words(flight.task, flight.state[0])}: {outcome}")
-
-
 def say_outcomes(flights: Mapping[str, Flight], shown_in: str) -> None:
     """Print a line for each flight, and the number of successes; shown_in: the file that shows them."""
     for name, flight in flights.items():
-        say_outcome(flight, name)
-    say(f"{succeeded(list(flights.values()))}; {shown_in}.")
-
-
-def succeeded(flights: Sequence[Flight]) -> str:
-    """Return the number of successful flights as text."""
-    count = len(flights)
-    return f"{sum(flight.success for flight in flights)} of {count} flight{'s' * (count != 1)} succeeded"
+        outcome = flight.task.flight_words(flight)
+        if isinstance(flight, LandedFlight):
+            outcome += f", motors cut: {flight.ending}"
+        say(f"{name}: from {start_words(flight.task, flight.state[0])}: {outcome}")
+    count, succeeded = len(flights), sum(flight.success for flight in flights.values())
+    say(f"{succeeded} of {count} flight{'s' * (count != 1)} succeeded; {shown_in}.")

@@ -32,7 +32,9 @@ def write(
     """Return the HTML of the page. run: the command that made it."""
     most = max(2, MOST_ROWS // len(recordings))
     downsampled = [recording.downsampled(most) for recording in recordings]
-    notes = [*notes, *_downsampling_notes(recordings, downsampled)]
+    for whole, part in zip(recordings, downsampled):
+        if len(part.t) != len(whole.t):
+            notes = [*notes, f"{whole.name}: {len(part.t)} of its {len(whole.t)} rows are in the page"]
     scenes: dict[tuple, dict] = {}
     flights = []
     for recording in downsampled:
@@ -101,11 +103,3 @@ def _encoded(recording: Recording) -> dict[str, Any]:
 
 def _floats(values: np.ndarray) -> str:
     return base64.b64encode(np.ascontiguousarray(values, "<f4").tobytes()).decode("ascii")
-
-
-def _downsampling_notes(before: Sequence[Recording], after: Sequence[Recording]) -> list[str]:
-    return [
-        f"{a.name}: {len(b.t)} of its {len(a.t)} rows are in the page"
-        for a, b in zip(before, after)
-        if len(a.t) != len(b.t)
-    ]

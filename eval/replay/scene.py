@@ -8,7 +8,7 @@ import mujoco
 import numpy as np
 
 from inclined_landing.envs.rendering import scenery
-from inclined_landing.envs.rendering.pose import Pose, as_pose
+from inclined_landing.envs.rendering.pose import as_pose
 from inclined_landing.models.vehicle import Vehicle
 
 _KINDS = {
@@ -36,6 +36,11 @@ def scene(vehicle: Vehicle, inclination: float | None, azimuth: float = 0.0) -> 
     mujoco.mj_kinematics(model, data)
     moving = model.body_rootid[model.geom_bodyid] == model.body("crazyflie").id
     shown = model.geom_group <= scenery.VISUAL_GROUP
+    slab = {  # centre and attitude of its surface, half length along the slope and half depth
+        "position": _rounded(pose.platform_pos),
+        "quaternion": _rounded(pose.platform_quat),
+        "half": _rounded([vehicle.slab_half_length, 0.5 * vehicle.platform_depth]),
+    }
     feet = [_geom(model, data, k) for k in range(model.ngeom) if model.geom(k).name.startswith("foot_")]
     return {
         "world": [_geom(model, data, k) for k in np.flatnonzero(shown & ~moving)],
@@ -44,18 +49,7 @@ def scene(vehicle: Vehicle, inclination: float | None, azimuth: float = 0.0) -> 
         "low": min(foot["position"][2] - foot["size"][0] for foot in feet),
         "scale": scenery.SCALE,
         "arena": [list(side) for side in (vehicle.arena_x, vehicle.arena_y, vehicle.arena_z)],
-        "platform": None if inclination is None else _slab(vehicle, pose),
-    }
-
-
-def _slab(vehicle: Vehicle, pose: Pose) -> dict[str, Any]:
-    """Return the pose of the slab's surface: centre, half length along the slope and half depth [m],
-    quaternion.
-    """
-    return {
-        "position": _rounded(pose.platform_pos),
-        "quaternion": _rounded(pose.platform_quat),
-        "half": _rounded([vehicle.slab_half_length, 0.5 * vehicle.platform_depth]),
+        "platform": None if inclination is None else slab,
     }
 
 

@@ -171,18 +171,14 @@ def _arrivals(flights: Sequence[Flight], cut: np.ndarray, fleet: Fleet) -> pd.Da
     velocity = state[:, VX : VZ + 1]
     away, along = surface.split(velocity, inclination)
     _, standing = surface.attitude_at_rest(inclination, -state[:, YAW])
-    after = cut_motors(state, inclination, fleet[cut])
     found = {
         "entry_speed": np.linalg.norm(velocity, axis=1),
         "entry_normal_speed": -away,
         "entry_tangential_speed": along,
         "pitch_error": np.abs(state[:, PITCH] - standing),
         "moving_away": away > 0,
-        "touchdown": after.touched,
-        "normal_speed": after.normal_speed,
-        "tangential_speed": after.tangential_speed,
-        "at_rest_on_feet": after.at_rest,
+        **cut_motors(state, inclination, fleet[cut]),
     }
     for name, values in found.items():
-        table.loc[cut, name] = values
+        table.loc[cut, name] = np.asarray(values)
     return table

@@ -21,7 +21,7 @@ from inclined_landing.envs.policy import Policy
 from inclined_landing.envs.tasks import StepContext, touchdown
 from inclined_landing.envs.tasks.landing import GOAL_SIZE
 from inclined_landing.models import surface
-from inclined_landing.models.attitude import PWM, VX, VZ, WX, WZ
+from inclined_landing.models.attitude import PWM, VX, WX
 from inclined_landing.models.plants import MujocoPlant, Plant
 from inclined_landing.models.plants.recorder import REST_RATE, REST_SPEED, STEP, Recorder
 from inclined_landing.models.vehicle import Vehicle
@@ -136,16 +136,6 @@ def _tilt_at_touch(recorder: Recorder) -> np.ndarray:
     return tilt
 
 
-@dataclasses.dataclass
-class Aftermath:
-    """Results of a motor cut, one per vehicle; speeds of the centre of mass are NaN without a touchdown."""
-
-    touched: np.ndarray  # (n,) bool: did any part reach the slab
-    normal_speed: np.ndarray  # (n,) m/s into the surface, up to 8 ms before the first touch
-    tangential_speed: np.ndarray  # (n,) m/s along the surface, unsigned
-    at_rest: np.ndarray  # (n,) bool: at the end still, feet and nothing else on the slab
-
-
 @dataclasses.dataclass(frozen=True)
 class Fleet:
     """Vehicles that fly together and differ in their numbers."""
@@ -168,10 +158,14 @@ class Fleet:
         return plant
 
 
-def cut_motors(states: np.ndarray, inclination: float | np.ndarray, fleet: Fleet) -> Aftermath:
-    """Cut the motors at `states` (n, 13) over platforms inclined by `inclination` (n,) or one for all [rad].
+def cut_motors(states: np.ndarray, inclination: float | np.ndarray, fleet: Fleet) -> pd.DataFrame:
+    """Return a row for each vehicle of a fleet whose motors are cut at `states` (n, 13).
 
-    fleet: the vehicles; the scaled thrust is the one that still decays.
+    inclination: of the platforms, (n,) or one for all [rad]. The scaled thrust is the one that still decays.
+
+    Columns: `touchdown`, whether any part reached the slab; the speeds of the centre of mass up to 8 ms
+    before, `normal_speed` into the surface and `tangential_speed` along it, unsigned [m/s], NaN without a
+    touchdown; `at_rest_on_feet`, whether it is still at the end, with the feet and nothing else on the slab.
     """
     n = len(states)
     options: dict[str, Any] = {"control_period": _LOOK, "timestep": STEP, "torque_needs_motors": True}
@@ -181,19 +175,23 @@ def cut_motors(states: np.ndarray, inclination: float | np.ndarray, fleet: Fleet
     at_rest_for, flying = np.zeros(n), np.arange(n)
     for _ in range(round(DURATION / _LOOK)):
         recorder.step(np.zeros((n, 4)), flying)
-        at_rest_for = np.where(recorder.at_rest() & _slow(plant.state), at_rest_for + _LOOK, 0.0)
+        speed, rate = (np.linalg.norm(plant.state[:, k : k + 3], axis=1) for k in (VX, WX))
+        slow = (speed < _SLOW * REST_SPEED) & (rate < _SLOW * REST_RATE)
+        at_rest_for = np.where(recorder.at_rest() & slow, at_rest_for + _LOOK, 0.0)
         flying = np.flatnonzero(~_decided(at_rest_for, plant.contacts.floor))
         if not len(flying):
             break
-    return Aftermath(recorder.touched, *recorder.touch_speeds(), recorder.at_rest())
+    into, along = recorder.touch_speeds()
+    return pd.DataFrame(
+        {
+            "touchdown": recorder.touched,
+            "normal_speed": into,
+            "tangential_speed": along,
+            "at_rest_on_feet": recorder.at_rest(),
+        }
+    )
 
 
 def _decided(at_rest_for: np.ndarray, on_floor: np.ndarray) -> np.ndarray:
     """Return (n,) bool: whether the end of a flight is known."""
     return (at_rest_for >= _STILL) | on_floor
-
-
-def _slow(state: np.ndarray) -> np.ndarray:
-    """Return (n,) bool: whether the vehicle is so slow that it will remain at rest."""
-    speed = np.linalg.norm(state[:, VX : VZ + 1], axis=1)
-    return (speed < _SLOW * REST_SPEED) & (np.linalg.norm(state[:, WX : WZ + 1], axis=1) < _SLOW * REST_RATE)

@@ -103,7 +103,7 @@ def test_a_landing_goes_on_to_rest_with_its_motors_cut(landed):
     # At rest where the success table's own judgement of the same cut says so, tilted as the slope is.
     task = flight.task
     judged = cut_motors(flight.state[-1:], flight.inclination, Fleet(task.vehicle))
-    assert whole.at_rest == judged.at_rest[0] and whole.ending == "at rest on its feet"
+    assert whole.at_rest == judged.at_rest_on_feet[0] and whole.ending == "at rest on its feet"
     assert still(whole.state, whole.platform)[whole.settled :].all()
     assert not still(whole.state, whole.platform)[whole.settled - 1]
     # Feet sink in by less than 5 mm, over a base of some 7 cm: below 0.1 rad.

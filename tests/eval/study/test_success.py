@@ -154,17 +154,17 @@ def test_cut_motors_fall_and_stay(landing):
     g = load_vehicle().environment_gravity
     # free fall over the gap, parallel to the slope; the speed is taken up to two 4 ms steps early
     speed = math.sqrt(2 * g * math.cos(ALPHA) * gap)
-    assert after.touched[0]
+    assert after.touchdown[0]
     assert after.normal_speed[0] == pytest.approx(speed, abs=2 * 0.004 * g)
     along = abs(math.tan(ALPHA)) * speed
     assert after.tangential_speed[0] == pytest.approx(along, abs=2 * 0.004 * g)
-    assert after.at_rest[0]  # friction 0.8 holds on a slope of tan 0.48
+    assert after.at_rest_on_feet[0]  # friction 0.8 holds on a slope of tan 0.48
 
 
 def test_cut_motors_slide_on_a_slippery_slope(landing):
     slippery = dataclasses.replace(load_vehicle(), contact_friction=0.3)
     after = rest.cut_motors(pose(landing.goal_position[1]), ALPHA, rest.Fleet(slippery))
-    assert after.touched[0] and not after.at_rest[0]
+    assert after.touchdown[0] and not after.at_rest_on_feet[0]
 
 
 def test_flights_that_are_decided_early_end_as_they_would(landing, monkeypatch):
@@ -178,9 +178,7 @@ def test_flights_that_are_decided_early_end_as_they_would(landing, monkeypatch):
         with monkeypatch.context() as patch:
             patch.setattr(rest, "_decided", lambda at_rest_for, on_floor: np.zeros(len(on_floor), bool))
             whole = rest.cut_motors(states, ALPHA, rest.Fleet(vehicle))
-        np.testing.assert_array_equal(early.at_rest, whole.at_rest)
-        np.testing.assert_array_equal(early.touched, whole.touched)
-        np.testing.assert_array_equal(early.normal_speed, whole.normal_speed)
+        np.testing.assert_array_equal(early, whole)
 
 
 # ---- studies
