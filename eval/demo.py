@@ -30,10 +30,7 @@ In Python:
   env = gymnasium.make("InclinedLanding-v0")"""
 
 
-def command(
-    out: RunFolder = Path("landing-demo"),
-    seed: Seed = 0,
-) -> None:
+def command(out: RunFolder = Path("landing-demo"), seed: Seed = 0) -> None:
     """Fly the shipped landing policy: success table, video, picture and 3D page (half a minute).
 
     The shipped policy flies in MuJoCo from the paper's three starts and from random ones.

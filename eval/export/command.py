@@ -16,10 +16,7 @@ if TYPE_CHECKING:
 
 # Modules with a function `write(folder, policy, contract, vectors)`, the policy in float32, imported when
 # they are needed.
-FORMATS = {
-    "onnx": "inclined_landing.eval.export.onnx_file",
-    "c": "inclined_landing.eval.export.c_source",
-}
+FORMATS = {"onnx": "inclined_landing.eval.export.onnx_file", "c": "inclined_landing.eval.export.c_source"}
 FormatName = Annotated[str, tyro.conf.arg(metavar="{onnx,c}")]
 
 

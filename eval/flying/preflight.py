@@ -63,10 +63,7 @@ def preflight_checks(
     other = f", {mismatch:.1f} deg from what motion capture shows" if seen else ""
     frozen = "" if moved or len(times) < 2 else ", all identical: frozen"
     checks = {
-        "battery": (
-            voltage >= LEAST_VOLTAGE,
-            f"{voltage:.2f} V; at least {LEAST_VOLTAGE:g} V at rest",
-        ),
+        "battery": (voltage >= LEAST_VOLTAGE, f"{voltage:.2f} V; at least {LEAST_VOLTAGE:g} V at rest"),
         "supervisor": (
             not locked,
             "locked, crashed or tumbled: switch it off and on" if locked else "not locked",

@@ -58,11 +58,7 @@ def describe(report: FlightReport) -> str:
     if report.landed:
         assert report.goal is not None and report.landing_time is not None
         vx, vz = report.goal[3], report.goal[5]
-        rest = {
-            True: "at rest on the slope",
-            False: "not at rest on the slope",
-            None: "not seen afterwards",
-        }
+        rest = {True: "at rest on the slope", False: "not at rest on the slope", None: "not seen afterwards"}
         touched = report.touched and report.outcome == "goal box"
         return (
             f"{report.outcome}{' after touching the platform,' if touched else ''} "

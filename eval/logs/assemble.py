@@ -12,12 +12,7 @@ from scipy.spatial.transform import Rotation
 
 from inclined_landing.eval.logs.channels import Channel
 from inclined_landing.eval.logs.limits import LARGEST_VALUE
-from inclined_landing.eval.logs.log import (
-    COMMANDS,
-    VOLTAGE_BRIDGED,
-    FlightLog,
-    longest_bridged,
-)
+from inclined_landing.eval.logs.log import COMMANDS, VOLTAGE_BRIDGED, FlightLog, longest_bridged
 from inclined_landing.eval.logs.repeats import percent, without_repeats
 from inclined_landing.eval.logs.units import COMMANDED_QUATERNION, QUATERNION, REQUESTS, ROTOR_SPEEDS
 from inclined_landing.models.base.errors import UserError, shown

@@ -460,14 +460,10 @@ def _check_delay(response: str, channel: str, lag: float, correlation: float) ->
     text = f"{response} follows its command after {1e3 * lag:.0f} ms (correlation {correlation:.2f})"
     if lag < -LONGEST_LEAD and correlation > LEAST_CORRELATION:
         yield limit(
-            channel,
-            f"{response} leads its command by {-1e3 * lag:.0f} ms: the commands are stamped too late",
+            channel, f"{response} leads its command by {-1e3 * lag:.0f} ms: the commands are stamped too late"
         )
     elif lag > LONGEST_DELAY and correlation > LEAST_CORRELATION:
-        yield limit(
-            channel,
-            f"{text}: the commands are stamped too early, or are not the flown ones",
-        )
+        yield limit(channel, f"{text}: the commands are stamped too early, or are not the flown ones")
     else:
         yield info(channel, text)
 

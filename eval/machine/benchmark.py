@@ -75,12 +75,7 @@ RATE, CPU, ACTION, TRAINING, FIRST = (
 )
 
 
-def command(
-    *,
-    seed: Seed = 0,
-    json: Flag = False,
-    out: NewFolder = None,
-) -> None:
+def command(*, seed: Seed = 0, json: Flag = False, out: NewFolder = None) -> None:
     """Measure the speed of steps, actions, training and first use on this machine (one to two minutes).
 
     The first use makes an environment and does one step; numba compiles what it needs. Compiled functions

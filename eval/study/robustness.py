@@ -10,13 +10,7 @@ import tyro
 from msgspec import Meta
 
 from inclined_landing.envs.ids import SHIPPED
-from inclined_landing.eval.base.options import (
-    MOST_COMPARED,
-    Flag,
-    NewFolder,
-    PlantName,
-    only_with,
-)
+from inclined_landing.eval.base.options import MOST_COMPARED, Flag, NewFolder, PlantName, only_with
 from inclined_landing.eval.study.options import BASELINES, THRUSTS, VEHICLES
 from inclined_landing.models.base.errors import UserError
 from inclined_landing.models.effects import LIBRARY

@@ -11,15 +11,7 @@ import tyro
 from msgspec import Meta
 
 from inclined_landing.envs.ids import SHIPPED
-from inclined_landing.eval.base.options import (
-    MOST_COMPARED,
-    Flag,
-    Flat,
-    Flown,
-    NewFolder,
-    Seed,
-    ThrustScale,
-)
+from inclined_landing.eval.base.options import MOST_COMPARED, Flag, Flat, Flown, NewFolder, Seed, ThrustScale
 from inclined_landing.models.base.errors import UserError
 
 Policies = Annotated[

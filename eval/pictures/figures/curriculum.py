@@ -33,9 +33,7 @@ _LOWEST = 0.5  # m; the panels are cut off here, unless starts lie lower
 
 
 def curriculum_figure(
-    stages: Sequence[tuple[str, LandingConditions]],
-    *,
-    task: InclinedLanding | None = None,
+    stages: Sequence[tuple[str, LandingConditions]], *, task: InclinedLanding | None = None
 ) -> Figure:
     """Return a figure with one panel for each stage (title, conditions), in reading order.
 
