@@ -35,11 +35,11 @@ class _Layout:
     """The lines above the rows of a table."""
 
     names: list[str]
-    units: dict[str, str]
     separator: str
     start: int  # of the rows, in bytes
     lines: int  # above the rows
     header: bytes
+    units: dict[str, str] = dataclasses.field(default_factory=dict)
 
 
 @dataclasses.dataclass(frozen=True)
@@ -131,50 +131,50 @@ def _layout(path: Path, data: bytes, encoding: str, named: Sequence[int] = ()) -
 
     named: the lines, counted from 1, whose cells form the names; if empty, the header is detected.
     """
-    separator, comment, header, above = "", None, None, []
+    separator, comment, found = "", None, None
+    above, units = list[str](), list[str]()
     for count, (raw, end) in enumerate(_lines(data), 1):
         line = raw.decode(encoding, "replace")
         said = re.fullmatch(r'"?sep=(.)"?', line, re.IGNORECASE)
         marked = line.lstrip().startswith(_COMMENT)
+        mark = separator or _separator(line)
         if said:
             separator = said[1]
         elif named and count <= named[-1]:
             above += [line] if count in named else []
             if count == named[-1]:
-                mark = separator or _separator(line)
-                header = (_joined([_cells(path, text, mark) for text in above]), mark, raw, end, count)
+                found = _Layout(_joined([_cells(path, text, mark) for text in above]), mark, end, count, raw)
         elif not line.strip():
             pass
-        elif header is None and marked:
-            comment = (line.lstrip(" #%/"), raw, end, count)
-        elif header is None:
-            mark = separator or _separator(line)
+        elif found is None and marked:
+            comment = (line.lstrip(" #%/"), end, count, raw)
+        elif found is None:
             cells = _cells(path, line, mark)
             numbers = sum(map(_is_number, cells))
             if not numbers or (mark == " " and 2 * numbers < len(cells)):
-                header = (cells, mark, raw, end, count)
+                found = _Layout(cells, mark, end, count, raw)
             elif comment is not None:  # the form of numpy.savetxt
                 mark = separator or _separator(comment[0])
-                header = (_cells(path, comment[0], mark), mark, *comment[1:])
+                found = _Layout(_cells(path, comment[0], mark), mark, *comment[1:])
                 break
             else:
                 problem = "the first line contains numbers; expected column names"
                 raise UserError(f"{path}: {problem}{_where_names_are(data, encoding)}")
         else:
-            mark = separator or _separator(line)
-            cells = _cells(path, line.lstrip(" #%/") if marked else line, header[1])
+            many = len(found.names)
+            cells = _cells(path, line.lstrip(" #%/") if marked else line, found.separator)
             other = _cells(path, line, mark)
-            titled = len(other) > max(len(header[0]), 2) or (header[1] == " " != mark and len(other) > 1)
+            titled = len(other) > max(many, 2) or (found.separator == " " != mark and len(other) > 1)
             if titled and not any(map(_is_number, other)) and not named:
-                header = (other, mark, raw, end, count)  # the lines above are a title
-            elif _are_units(cells) and (not marked or len(cells) == len(header[0])):
-                names = _names(path, header[0], data, encoding)
-                return _Layout(names, dict(zip(names, cells)), header[1], end, count, header[2])
-            else:
-                break
-    if header is None:
+                found = _Layout(other, mark, end, count, raw)  # the lines above are a title
+                continue
+            if _are_units(cells) and (not marked or len(cells) == many):
+                units, found = cells, dataclasses.replace(found, start=end, lines=count)
+            break
+    if found is None:
         raise UserError(f"{path}: empty; expected a line of column names and rows of numbers")
-    return _Layout(_names(path, header[0], data, encoding), {}, header[1], header[3], header[4], header[2])
+    names = _names(path, found.names, data, encoding)
+    return dataclasses.replace(found, names=names, units=dict(zip(names, units)))
 
 
 def _joined(lines: Sequence[Sequence[str]]) -> list[str]:
