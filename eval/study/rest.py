@@ -161,7 +161,8 @@ class Fleet:
 def cut_motors(states: np.ndarray, inclination: float | np.ndarray, fleet: Fleet) -> pd.DataFrame:
     """Return a row for each vehicle of a fleet whose motors are cut at `states` (n, 13).
 
-    inclination: of the platforms, (n,) or one for all [rad]. The scaled thrust is the one that still decays.
+    inclination: that of the platforms, (n,) or one for all [rad]. The scaled thrust is the one that still
+    decays.
 
     Columns: `touchdown`, whether any part reached the slab; the speeds of the centre of mass up to 8 ms
     before, `normal_speed` into the surface and `tangential_speed` along it, unsigned [m/s], NaN without a
