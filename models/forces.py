@@ -134,24 +134,23 @@ def lag_pole(lag, pwm, v):
     return v.thrust.lag_rate
 
 
-@inlined
-def lag_step(lag, pwm, dt, v):
-    """Return the lag [PWM s] after `dt` [s] under a held command, and its mean over the step; exact."""
-    # Omega(dt) = Omega_s + (Omega - Omega_s) exp(-lambda dt), Omega_s = PWM/lambda
-    rate, steady = lag_pole(lag, pwm, v), pwm / v.thrust.lag_rate
-    decay = math.exp(-rate * dt)
-    mean = steady + (lag - steady) * (1.0 - decay) / (rate * dt)
-    return steady + (lag - steady) * decay, mean
-
-
 @unlocked
 def lags(pwm, dt, vehicle):
-    """Return the lag [PWM s] (m + 1,) under commands (m,) held for `dt` [s], first steady under the first."""
-    v, out = vehicle[0], np.empty(len(pwm) + 1)
-    out[0] = pwm[0] / v.thrust.lag_rate
+    """Return the lag [PWM s] (m + 1,) under commands (m,) held for `dt` [s], and its mean (m,) over each.
+
+    It is first steady under the first command. The solution is exact.
+    """
+    # Omega(dt) = Omega_s + (Omega - Omega_s) exp(-lambda dt), Omega_s = PWM/lambda
+    v, lag, mean = vehicle[0], np.empty(len(pwm) + 1), np.empty(len(pwm))
+    up, down = v.thrust.lag_rate * dt, v.thrust.lag_rate / (1.0 + v.effects.spin_down) * dt  # lambda dt
+    kept_up, kept_down = math.exp(-up), math.exp(-down)
+    lag[0] = pwm[0] / v.thrust.lag_rate
     for k in range(len(pwm)):
-        out[k + 1], _ = lag_step(out[k], pwm[k], dt, v)
-    return out
+        falls, steady = pwm[k] < v.thrust.lag_rate * lag[k], pwm[k] / v.thrust.lag_rate
+        rate, kept = (down, kept_down) if falls else (up, kept_up)
+        mean[k] = steady + (lag[k] - steady) * (1.0 - kept) / rate
+        lag[k + 1] = steady + (lag[k] - steady) * kept
+    return lag, mean
 
 
 @inlined
@@ -262,10 +261,12 @@ def ground_effect(position, r, thrust, inclination, present, azimuth, v):
     extra, torque_x, torque_y = 0.0, 0.0, 0.0
     if r[8] <= 0.0:
         return extra, torque_x, torque_y
-    si, ci = math.sin(inclination), math.cos(inclination)
-    sa, ca = math.sin(azimuth), math.cos(azimuth)
-    lean_along, lean_across = ca * r[2] + sa * r[5], ca * r[5] - sa * r[2]  # of the rotor's axis
-    facing = si * lean_along + ci * r[8]  # of the rotor's axis and the slab's normal
+    si, ci, sa, ca, lean_along, lean_across, facing = 0.0, 1.0, 0.0, 1.0, 0.0, 0.0, 0.0
+    if present != 0.0:
+        si, ci = math.sin(inclination), math.cos(inclination)
+        sa, ca = math.sin(azimuth), math.cos(azimuth)
+        lean_along, lean_across = ca * r[2] + sa * r[5], ca * r[5] - sa * r[2]  # of the rotor's axis
+        facing = si * lean_along + ci * r[8]  # of the rotor's axis and the slab's normal
     radius = v.rotor.radius
     for side in range(4):
         x = v.rotor.arm if side < 2 else -v.rotor.arm
@@ -274,7 +275,7 @@ def ground_effect(position, r, thrust, inclination, present, azimuth, v):
         py = position[1] + r[3] * x + r[4] * y + r[5] * v.rotor.height
         pz = position[2] + r[6] * x + r[7] * y + r[8] * v.rotor.height
         share, gain = 0.0, 0.0
-        if present != 0.0 and facing > 0.0:
+        if facing > 0.0:
             forward, beside = ca * px + sa * py, ca * py - sa * px  # horizontal, along the slope's direction
             normal = si * forward + ci * (pz - v.platform.surface_height)
             along = ci * forward - si * (pz - v.platform.surface_height)

@@ -47,27 +47,27 @@ def swing(x, y, z, vx, vy, vz, ax, ay, az, length):
 
 
 @inlined
+def rectified(x, y, z, vx, vy, vz):
+    """Return a load's state after integration with |q| = 1 and q' normal to q."""
+    size = math.sqrt(x * x + y * y + z * z)
+    x, y, z = x / size, y / size, z / size
+    radial = x * vx + y * vy + z * vz
+    return x, y, z, vx - radial * x, vy - radial * y, vz - radial * z
+
+
+@inlined
 def rectify(load):
-    """Normalise a load's state (6,) in place after integration, so that |q| = 1 and q' is normal to q."""
-    size = math.sqrt(load[0] * load[0] + load[1] * load[1] + load[2] * load[2])
-    for k in range(3):
-        load[k] /= size
-    radial = load[0] * load[3] + load[1] * load[4] + load[2] * load[5]
-    for k in range(3):
-        load[3 + k] -= radial * load[k]
+    """Normalise a load's state (6,) in place as `rectified`."""
+    state = rectified(load[0], load[1], load[2], load[3], load[4], load[5])
+    load[0], load[1], load[2], load[3], load[4], load[5] = state
 
 
-@unlocked
-def advance(load, ax, ay, az, share, length, dt):
-    """Advance a load's state (6,) in place by `dt` [s], and return the vehicle's mean acceleration.
+@inlined
+def swung(x, y, z, vx, vy, vz, ax, ay, az, length, dt):
+    """Return a load's state `dt` [s] later, by one step of RK4; the other arguments as of `pull`.
 
-    (ax, ay, az): a_f [m/s2] in the world's axes, the force on the vehicle without its weight divided by its
-    mass, held over the step. share: m_l/(m + m_l); length [m] of the string. The acceleration (x, y, z)
-    [m/s2] does not include gravity; with share 0 it is a_f. The swing is integrated by one step of RK4, which
-    is stable up to a phase sqrt(|a_f|/L) dt of 2.8 (at 20 m/s2, 0.1 m and 10 ms it is 0.14); the acceleration
-    is exact for it.
+    It is stable up to a phase sqrt(|a_f|/L) dt of 2.8 (at 20 m/s2, 0.1 m and 10 ms it is 0.14).
     """
-    x, y, z, vx, vy, vz = load[0], load[1], load[2], load[3], load[4], load[5]
     h = 0.5 * dt
     ax1, ay1, az1 = swing(x, y, z, vx, vy, vz, ax, ay, az, length)
     vx2, vy2, vz2 = vx + h * ax1, vy + h * ay1, vz + h * az1
@@ -77,16 +77,38 @@ def advance(load, ax, ay, az, share, length, dt):
     vx4, vy4, vz4 = vx + dt * ax3, vy + dt * ay3, vz + dt * az3
     ax4, ay4, az4 = swing(x + dt * vx3, y + dt * vy3, z + dt * vz3, vx4, vy4, vz4, ax, ay, az, length)
     sixth = dt / 6.0
-    load[0] = x + sixth * (vx + 2.0 * (vx2 + vx3) + vx4)
-    load[1] = y + sixth * (vy + 2.0 * (vy2 + vy3) + vy4)
-    load[2] = z + sixth * (vz + 2.0 * (vz2 + vz3) + vz4)
-    load[3] = vx + sixth * (ax1 + 2.0 * (ax2 + ax3) + ax4)
-    load[4] = vy + sixth * (ay1 + 2.0 * (ay2 + ay3) + ay4)
-    load[5] = vz + sixth * (az1 + 2.0 * (az2 + az3) + az4)
-    rectify(load)
-    # (m + m_l) dv/dt + m_l L dq'/dt = f - (m + m_l) g: the change of momentum over the step
+    return rectified(
+        x + sixth * (vx + 2.0 * (vx2 + vx3) + vx4),
+        y + sixth * (vy + 2.0 * (vy2 + vy3) + vy4),
+        z + sixth * (vz + 2.0 * (vz2 + vz3) + vz4),
+        vx + sixth * (ax1 + 2.0 * (ax2 + ax3) + ax4),
+        vy + sixth * (ay1 + 2.0 * (ay2 + ay3) + ay4),
+        vz + sixth * (az1 + 2.0 * (az2 + az3) + az4),
+    )
+
+
+@inlined
+def mean_acceleration(a, change, share, length, dt):
+    """Return a vehicle's mean acceleration along an axis, without gravity, over a step of `dt` [s].
+
+    a: a_f along it; change: of q' along it over the step. It is exact for the step; with share 0 it is a_f.
+    """
+    # (m + m_l) dv/dt + m_l L dq'/dt = f - (m + m_l) g: the change of momentum
+    return a - share * (a + length * change / dt)
+
+
+@unlocked
+def advance(load, ax, ay, az, share, length, dt):
+    """Advance a load's state (6,) in place by `dt` [s], and return the vehicle's mean acceleration.
+
+    (ax, ay, az): a_f [m/s2] in the world's axes, the force on the vehicle without its weight divided by its
+    mass, held over the step. share: m_l/(m + m_l); length [m] of the string.
+    """
+    x, y, z, vx, vy, vz = load[0], load[1], load[2], load[3], load[4], load[5]
+    state = swung(x, y, z, vx, vy, vz, ax, ay, az, length, dt)
+    load[0], load[1], load[2], load[3], load[4], load[5] = state
     return (
-        ax - share * (ax + length * (load[3] - vx) / dt),
-        ay - share * (ay + length * (load[4] - vy) / dt),
-        az - share * (az + length * (load[5] - vz) / dt),
+        mean_acceleration(ax, state[3] - vx, share, length, dt),
+        mean_acceleration(ay, state[4] - vy, share, length, dt),
+        mean_acceleration(az, state[5] - vz, share, length, dt),
     )

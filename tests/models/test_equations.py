@@ -102,7 +102,7 @@ def test_the_exact_steps_are_the_equations():
     roll = attitude_loops.angle_steps(0, commands[:, 1].copy(), still, 0.1, dt, packed)
     np.testing.assert_allclose(flown[:, ROLL], roll, atol=1e-8)
     np.testing.assert_allclose(flown[:, YAW], attitude_loops.yaw_steps(commands[:, 3], dt, packed), atol=1e-8)
-    lag = forces.lags(commands[:, 0], dt, packed)
+    lag, _ = forces.lags(commands[:, 0], dt, packed)
     np.testing.assert_allclose(flown[:, LAG], lag, rtol=1e-8)
 
 

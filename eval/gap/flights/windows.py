@@ -19,8 +19,9 @@ from inclined_landing.eval.gap.flights.noise import ErrorResponses, NoiseModel, 
 from inclined_landing.eval.logs import FlightLog
 from inclined_landing.eval.logs.log import as_logs
 from inclined_landing.eval.logs.motion import standing
-from inclined_landing.models.attitude import body_accelerations, rotations, tilted
+from inclined_landing.models.attitude import body_accelerations, euler_rates, rotations, tilted
 from inclined_landing.models.base.errors import UserError, first_of
+from inclined_landing.models.compiled import unlocked
 from inclined_landing.models.forces import AMBIENT_SIZE
 from inclined_landing.models.vehicle import Vehicle
 
@@ -141,19 +142,21 @@ class MeasuredFlight:
         assert self.requests is not None
         return dataclasses.replace(self, requests=dataclasses.replace(self.requests, slope=slope))
 
-    def attitude_of(self, vehicle: Vehicle) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-        """Return the rotors' attitudes in the middle of every step, their rotations, and the first attitude.
+    def attitude_of(self, vehicle: Vehicle) -> tuple[np.ndarray, ...]:
+        """Return the rotors' attitudes in the middle of every step, and what follows from them.
 
-        A tilt and a delay of the measured attitude beyond that of the position are taken off.
+        These are their rotations and `rates_about_x`; the last is the first attitude. A tilt and a delay of
+        the measured attitude beyond that of the position are taken off.
         """
         tilt, late = vehicle.effects_mocap_tilt, vehicle.effects_estimator_delay
-        if not (late or any(tilt)):
-            return self.middle_attitude, self.middle_rotation, self.attitude[0]
         cached = self._attitudes.get((tilt, late))
         if cached is None:
-            middle = remove_tilt(earlier(self.middle_attitude, -late / self.dt), tilt)
-            cached = middle, rotations(middle), remove_tilt(self.attitude[:1], tilt)[0]
-            if len(self._attitudes) > 8:
+            middle, rotation, first = self.middle_attitude, self.middle_rotation, self.attitude[0]
+            if late or any(tilt):
+                middle = remove_tilt(earlier(middle, -late / self.dt), tilt)
+                rotation, first = rotations(middle), remove_tilt(self.attitude[:1], tilt)[0]
+            cached = middle, rotation, rates_about_x(middle), first
+            if len(self._attitudes) > 9:
                 self._attitudes.clear()
             self._attitudes[tilt, late] = cached
         return cached
@@ -203,6 +206,15 @@ def earlier(values: np.ndarray, rows: float) -> np.ndarray:
     low = np.minimum(at.astype(int), last - 1)
     part = (at - low)[:, None]
     return (1.0 - part) * values[..., low, :] + part * values[..., low + 1, :]
+
+
+@unlocked
+def rates_about_x(attitude):
+    """Return the Euler rates (k, 3) of a body rate of 1 rad/s about x, at attitudes (k, 3)."""
+    out = np.empty_like(attitude)
+    for k in range(len(attitude)):
+        out[k, 0], out[k, 1], out[k, 2] = euler_rates(attitude[k, 0], attitude[k, 1], 1.0, 0.0, 0.0)
+    return out
 
 
 def remove_tilt(attitude: np.ndarray, tilt: tuple[float, float]) -> np.ndarray:

@@ -16,20 +16,19 @@ from collections.abc import Callable, Sequence
 from operator import attrgetter
 from typing import Any, NamedTuple
 
-import numba
 import numpy as np
 
 from inclined_landing.eval.gap.flights.windows import REQUEST_SIGNS
 from inclined_landing.eval.gap.model.swing import Starts, pulled
-from inclined_landing.models.attitude import PWM, ROLL_COMMAND, YAW_RATE_COMMAND, entries, euler_rates, tilted
+from inclined_landing.models.attitude import PWM, ROLL_COMMAND, YAW_RATE_COMMAND, entries, tilted
 from inclined_landing.models.attitude_loops import angle_steps, integrated_steps, yaw_steps
+from inclined_landing.models.compiled import inlined, unlocked
 from inclined_landing.models.delays import averages
 from inclined_landing.models.forces import (
     AZIMUTH,
     INCLINATION,
     PRESENT,
     ground_effect,
-    lag_step,
     lags,
     pack,
     wrench_near,
@@ -134,7 +133,7 @@ def delayed_commands(command: np.ndarray, dt: float, vehicle: Vehicle) -> tuple[
     late = vehicle.effects_mocap_delay
     delays = [vehicle.effects_thrust_delay + late] + [vehicle.effects_attitude_delay + late] * 3
     commands = np.stack([averages(command[:, k], dt, d) for k, d in enumerate(delays)], axis=1)
-    return commands, lags(commands[:, PWM], dt, pack(vehicle))
+    return commands, lags(commands[:, PWM], dt, pack(vehicle))[0]
 
 
 def without_delays(vehicle: Vehicle) -> Vehicle:
@@ -188,7 +187,7 @@ class _Measured(NamedTuple):
     middle_position: np.ndarray  # (m - 1, 3) m
     velocity: np.ndarray  # (m - 1, 3) m/s
     rotation: np.ndarray  # (m - 1, 3, 3), body to world
-    attitude: np.ndarray  # (m - 1, 3) roll, pitch, yaw, rad
+    turning: np.ndarray  # (m - 1, 3) Euler rates of a body rate of 1 rad/s about x
     first_attitude: np.ndarray  # (3,) in the first row
     ambient: np.ndarray  # (m - 1, AMBIENT_SIZE)
     starts: np.ndarray  # (w,) first row of every window
@@ -198,14 +197,14 @@ class _Measured(NamedTuple):
     @staticmethod
     def of(flight, vehicle: Vehicle) -> _Measured:
         """Return a flight as the kernels take it, attitudes as the rotors were (`attitude_of`)."""
-        attitude, rotation, first_attitude = flight.attitude_of(vehicle)
+        _, rotation, turning, first_attitude = flight.attitude_of(vehicle)
         return _Measured(
             command=flight.command,
             position=flight.position,
             middle_position=flight.middle_position,
             velocity=flight.middle_velocity,
             rotation=rotation,
-            attitude=attitude,
+            turning=turning,
             first_attitude=first_attitude,
             ambient=flight.ambient,
             starts=flight.starts,
@@ -214,7 +213,7 @@ class _Measured(NamedTuple):
         )
 
 
-@numba.njit(cache=True, nogil=True)
+@unlocked
 def _predict(measured, vehicles, own, same, begun, out):
     """Write the predicted pose (6, m) of every vehicle `own` (k,) into out (n, C, m).
 
@@ -223,16 +222,19 @@ def _predict(measured, vehicles, own, same, begun, out):
     """
     dt, steps, pose = measured.dt, measured.velocity.shape, slice(0, YAW_CHANNEL + 1)
     twist, first_twist, near = np.zeros(steps), np.zeros(steps), np.zeros(steps)
-    turning, first_commands, first_yaw = _turning(measured.attitude), np.empty((2, 0)), np.empty(0)
-    known = 0  # the vehicle that `near` is of
+    pwm, lag, first_commands, first_yaw = np.empty(0), np.empty(0), np.empty((2, 0)), np.empty(0)
+    met, driven = 0, 0  # the vehicles that `near`, and `pwm` and `lag`, are of
     for k in range(len(own)):
         vehicle, predicted, first = vehicles[own[k] : own[k] + 1], out[own[k], pose], out[own[0], pose]
         v = vehicle[0]
         if k == 0 or not same[0, k]:
-            if k == 0 or not _same_ground(v, vehicles[own[known]]):
+            if k == 0 or not _same_ground(v, vehicles[own[met]]):
                 _ground(measured, v, near)
-                known = k
-            acceleration = _accelerations(measured, v, near, turning, twist)
+                met = k
+            if k == 0 or not _same_lag(v, vehicles[own[driven]]):
+                pwm, lag = _thrust_commands(measured, vehicle)
+                driven = k
+            acceleration = _accelerations(measured, v, near, pwm, lag, twist)
             if v.effects.load_mass != 0.0:
                 seen, starts, rows = measured.position, measured.starts, measured.rows
                 acceleration = pulled(acceleration, seen, starts, rows, dt, vehicle, begun)
@@ -260,16 +262,7 @@ def _predict(measured, vehicles, own, same, begun, out):
         predicted[ROLL_CHANNEL:] = angles.T
 
 
-@numba.njit(cache=True, nogil=True)
-def _turning(attitude):
-    """Return the Euler rates (k, 3) of a body rate of 1 rad/s about x, at attitudes (k, 3)."""
-    out = np.empty_like(attitude)
-    for k in range(len(attitude)):
-        out[k, 0], out[k, 1], out[k, 2] = euler_rates(attitude[k, 0], attitude[k, 1], 1.0, 0.0, 0.0)
-    return out
-
-
-@numba.njit(cache=True, inline="always")
+@inlined
 def _same_ground(v, w):
     """Return whether two vehicles meet the same ground effect at the same thrust."""
     same = v.effects.ground_effect == w.effects.ground_effect
@@ -283,7 +276,24 @@ def _same_ground(v, w):
     )
 
 
-@numba.njit(cache=True, nogil=True)
+@inlined
+def _same_lag(v, w):
+    """Return whether the thrust of two vehicles lags behind the same commands by the same."""
+    same = v.effects.thrust_delay == w.effects.thrust_delay and v.thrust.lag_rate == w.thrust.lag_rate
+    return (
+        same and v.effects.mocap_delay == w.effects.mocap_delay and v.effects.spin_down == w.effects.spin_down
+    )
+
+
+@unlocked
+def _thrust_commands(measured, vehicle):
+    """Return the delayed thrust commands (m - 1,) and the mean thrust lag (m - 1,) over every step."""
+    effects, dt = vehicle[0].effects, measured.dt
+    pwm = averages(measured.command[:, PWM], dt, effects.thrust_delay + effects.mocap_delay)
+    return pwm, lags(pwm, dt, vehicle)[1]
+
+
+@unlocked
 def _ground(measured, v, near):
     """Write the ground effect of a thrust of 1 N along a flight into near (m - 1, 3), as `wrench_near`."""
     near[:] = 0.0
@@ -297,29 +307,27 @@ def _ground(measured, v, near):
         )
 
 
-@numba.njit(cache=True, nogil=True)
-def _accelerations(measured, v, near, turning, twist):
+@unlocked
+def _accelerations(measured, v, near, pwm, lag, twist):
     """Return accelerations (m - 1, 3) without gravity's and a load's; write the angles' ones into twist.
 
-    near, turning: as `_ground` and `_turning` have them.
+    near, pwm, lag: as `_ground` and `_thrust_commands` have them.
     """
-    pwm = averages(measured.command[:, PWM], measured.dt, v.effects.thrust_delay + v.effects.mocap_delay)
-    out, lag = np.empty_like(measured.velocity), pwm[0] / v.thrust.lag_rate
-    velocity, ambient = measured.velocity, measured.ambient
+    out, velocity, ambient = np.empty_like(measured.velocity), measured.velocity, measured.ambient
     for k in range(len(pwm)):
-        u, r = pwm[k], measured.rotation[k]
-        lag, mean = lag_step(lag, u, measured.dt, v)
-        fx, fy, fz, tx, ty = wrench_near(near[k], velocity[k], entries(r), mean, u, ambient[k], v, _NEUTRAL)
-        for i in range(3):
-            out[k, i] = (r[i, 0] * fx + r[i, 1] * fy + r[i, 2] * fz) / v.body.mass
+        r = entries(measured.rotation[k])
+        fx, fy, fz, tx, ty = wrench_near(near[k], velocity[k], r, lag[k], pwm[k], ambient[k], v, _NEUTRAL)
+        out[k, 0] = (r[0] * fx + r[1] * fy + r[2] * fz) / v.body.mass
+        out[k, 1] = (r[3] * fx + r[4] * fy + r[5] * fz) / v.body.mass
+        out[k, 2] = (r[6] * fx + r[7] * fy + r[8] * fz) / v.body.mass
         about_x, about_y = tx / v.body.inertia[0], ty / v.body.inertia[1]
-        twist[k, 0] = turning[k, 0] * about_x
-        twist[k, 1] = turning[k, 1] * about_x + about_y
-        twist[k, 2] = turning[k, 2] * about_x
+        twist[k, 0] = measured.turning[k, 0] * about_x
+        twist[k, 1] = measured.turning[k, 1] * about_x + about_y
+        twist[k, 2] = measured.turning[k, 2] * about_x
     return out
 
 
-@numba.njit(cache=True, nogil=True)
+@unlocked
 def _translate(acceleration, gravity, dt, out):
     """Write positions (3, m) from rest at zero under accelerations (m - 1, 3) without gravity's into out."""
     for i in range(3):
@@ -333,20 +341,21 @@ def _translate(acceleration, gravity, dt, out):
             out[i, k + 1] = moved
 
 
-@numba.njit(cache=True, nogil=True)
+@unlocked
 def _integrals(measured, vehicle):
     """Return the integrals (m, 2) [rad s] of the errors of roll and pitch."""
     v, twist, out = vehicle[0], np.empty_like(measured.velocity), np.empty((len(measured.command), 2))
     near, commands = np.empty_like(twist), _loop_commands(measured, v)
     _ground(measured, v, near)
-    _accelerations(measured, v, near, _turning(measured.attitude), twist)
+    pwm, lag = _thrust_commands(measured, vehicle)
+    _accelerations(measured, v, near, pwm, lag, twist)
     for axis in range(2):
         start, turned = measured.first_attitude[axis], twist[:, axis]
         out[:, axis] = integrated_steps(axis, commands[axis], turned, start, measured.dt, vehicle)[:, 1]
     return out
 
 
-@numba.njit(cache=True, nogil=True)
+@unlocked
 def _yaw(measured, vehicle):
     """Return the yaw (m,) by its loop."""
     effects, dt = vehicle[0].effects, measured.dt
@@ -354,7 +363,7 @@ def _yaw(measured, vehicle):
     return yaw_steps(averages(measured.command[:, YAW_RATE_COMMAND], dt, delay), dt, vehicle)
 
 
-@numba.njit(cache=True, nogil=True)
+@unlocked
 def _loop_commands(measured, v):
     """Return what the loops of roll and pitch follow (2, m - 1) [rad]."""
     lean, late = v.effects.estimator_lean, v.effects.mocap_delay + v.effects.estimator_delay

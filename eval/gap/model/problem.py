@@ -269,7 +269,8 @@ class Problem(Candidates):
                 elif isinstance(column, FormColumn):
                     out[:] = column.along(here - rest[column.effect], flight)
                 else:  # finite difference: dp/dx = (p(x + h) - p(x)) / h
-                    np.divide(moved[column] - here, differences[column][1], out=out)
+                    np.subtract(moved[column], here, out=out)
+                    out /= differences[column][1]
             return result
 
         return of
@@ -302,8 +303,10 @@ class Problem(Candidates):
             for channel, matrix in enumerate(flight.whitening.matrices):
                 series = stack[:, :, channel]
                 # A constant of the pose goes with the start state; of the requests it is a moment.
-                constant = series[:, :1] if channel < len(CHANNELS) else 0.0
-                live = np.flatnonzero((series != constant).any(axis=1))
+                constant = series[:, :1] * (channel < len(CHANNELS))
+                live = series[:, -1] != constant[:, 0]
+                live[~live] = (series[~live] != constant[~live]).any(axis=1)
+                live = np.flatnonzero(live)
                 windows = np.take(series[live], of_windows, axis=1)  # (live, w, rows)
                 white = (windows.reshape(-1, flight.rows) @ matrix.T).reshape(*windows.shape[:2], -1)
                 white *= share[own, channel, None]
@@ -327,7 +330,8 @@ def _form_jacobians(flights: Sequence[MeasuredFlight], vehicle: Vehicle) -> tupl
 
     def of(flight: MeasuredFlight) -> np.ndarray:
         gravity, predicted = vehicle.environment_gravity, predict(flight, vehicle)
-        return np.stack([BaseColumn(f).along(predicted, gravity, flight) for f in BASE_DEVIATIONS])
+        columns = [BaseColumn(f).along(predicted, gravity, flight).T for f in BASE_DEVIATIONS]
+        return np.stack(columns).transpose(0, 2, 1)  # in memory one channel after another
 
     return tuple(two_at_a_time(of, flights))
 
@@ -337,7 +341,8 @@ def _with_model_errors(predicted: np.ndarray, form_jacobian: np.ndarray, values:
     weights = values.get(BASE, {})
     if not any(weights.values()):
         return predicted
-    return predicted + np.tensordot([weights[f] for f in BASE_DEVIATIONS], form_jacobian, axes=1)
+    jacobian = form_jacobian.transpose(0, 2, 1)  # as in memory
+    return predicted + np.tensordot([weights[f] for f in BASE_DEVIATIONS], jacobian, axes=1).T
 
 
 def _wind_force(vehicle: Vehicle, library: Mapping[str, Effect]) -> float:

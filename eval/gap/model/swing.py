@@ -11,10 +11,10 @@ from __future__ import annotations
 import math
 from typing import NamedTuple
 
-import numba
 import numpy as np
 
-from inclined_landing.models.load import LOAD_SIZE, advance
+from inclined_landing.models.compiled import unlocked
+from inclined_landing.models.load import LOAD_SIZE, advance, mean_acceleration, swung
 
 NEARLY = 0.05  # m/s2, accelerations so near lead to a load's start by a single linear step
 STRETCH = 10.0  # s, the longest with one start: air and string damp what is older
@@ -22,6 +22,7 @@ ANGLE = 0.3  # rad, standard deviation of the start's angle; of its rate, times 
 _NUMBERS = 2.0  # independent errors in one channel of a window: they are smooth
 _ROUNDS = 3  # of Gauss and Newton
 _STEP = 1e-3  # of differences, in standard deviations
+_BESIDE = 8  # loads that swing side by side: as many numbers as a processor's instruction takes
 
 
 class Starts(NamedTuple):
@@ -41,7 +42,7 @@ class Starts(NamedTuple):
         return Starts(*fitted, np.full(3, np.nan), np.zeros((samples - 1, 3)))
 
 
-@numba.njit(cache=True, nogil=True)
+@unlocked
 def pulled(acceleration, position, starts, rows, dt, vehicle, begun):
     """Return the mean accelerations (m - 1, 3) [m/s2] of a vehicle whose load swings, over a flight's steps.
 
@@ -84,7 +85,7 @@ def pulled(acceleration, position, starts, rows, dt, vehicle, begun):
     return out
 
 
-@numba.njit(cache=True, nogil=True)
+@unlocked
 def stretches(starts, rows, dt):
     """Return where stretches of at most `STRETCH` begin among the windows, and the number of these."""
     found = [0]
@@ -95,7 +96,7 @@ def stretches(starts, rows, dt):
     return np.array(found)
 
 
-@numba.njit(cache=True, nogil=True)
+@unlocked
 def _state(z, spread):
     """Return the state (6,) of a load at the standardised angles and rates z (4,) along x and y."""
     load = np.zeros(LOAD_SIZE)
@@ -106,7 +107,7 @@ def _state(z, spread):
     return load
 
 
-@numba.njit(cache=True, nogil=True)
+@unlocked
 def _swing(acceleration, start, string, out):
     """Write the vehicle's accelerations (k, 3) with a load from `start` (6,) into out."""
     share, length, dt = string
@@ -116,22 +117,31 @@ def _swing(acceleration, start, string, out):
         out[k, 0], out[k, 1], out[k, 2] = advance(load, a[0], a[1], a[2], share, length, dt)
 
 
-@numba.njit(cache=True, nogil=True)
+@unlocked
 def _errors(position, acceleration, loads, starts, rows, string):
     """Return the errors (s, 2 w rows) [m] of x and y in the windows, each without its line.
 
-    loads (s, 6): states at the beginning, moved to the end.
+    loads (s, 6): states at the beginning, of at most `_BESIDE`.
     """
     share, length, dt = string
-    moved, speed = np.zeros((len(loads), 2, len(acceleration) + 1)), np.zeros((len(loads), 2))
+    moved = np.zeros((len(loads), 2, len(acceleration) + 1))
+    state = np.zeros((LOAD_SIZE + 4, _BESIDE))  # of the loads; speed and way of the vehicle along x and y
+    for s in range(_BESIDE):  # the last load fills those that are left
+        state[:LOAD_SIZE, s] = loads[min(s, len(loads) - 1)]
     for k in range(len(acceleration)):
-        a = acceleration[k]
-        for s in range(len(loads)):  # side by side: a processor works on several of these at once
-            x, y, _ = advance(loads[s], a[0], a[1], a[2], share, length, dt)
-            moved[s, 0, k + 1] = moved[s, 0, k] + dt * (speed[s, 0] + 0.5 * dt * x)
-            moved[s, 1, k + 1] = moved[s, 1, k] + dt * (speed[s, 1] + 0.5 * dt * y)
-            speed[s, 0] += dt * x
-            speed[s, 1] += dt * y
+        ax, ay, az = acceleration[k, 0], acceleration[k, 1], acceleration[k, 2]
+        for s in range(_BESIDE):
+            vx, vy = state[3, s], state[4, s]
+            at = swung(state[0, s], state[1, s], state[2, s], vx, vy, state[5, s], ax, ay, az, length, dt)
+            state[0, s], state[1, s], state[2, s], state[3, s], state[4, s], state[5, s] = at
+            x = mean_acceleration(ax, at[3] - vx, share, length, dt)
+            y = mean_acceleration(ay, at[4] - vy, share, length, dt)
+            state[8, s] += dt * (state[6, s] + 0.5 * dt * x)
+            state[9, s] += dt * (state[7, s] + 0.5 * dt * y)
+            state[6, s] += dt * x
+            state[7, s] += dt * y
+        for s in range(len(loads)):
+            moved[s, 0, k + 1], moved[s, 1, k + 1] = state[8, s], state[9, s]
     out = np.empty((len(loads), 2 * len(starts) * rows))
     middle, squares = 0.5 * (rows - 1), rows * (rows * rows - 1.0) / 12.0
     for s in range(len(loads)):
@@ -151,7 +161,7 @@ def _errors(position, acceleration, loads, starts, rows, string):
     return out
 
 
-@numba.njit(cache=True, nogil=True)
+@unlocked
 def _step(errors, z, gain, inverse):
     """Return the step (4,) of Gauss and Newton, to be taken off, at errors (n,)."""
     step = np.zeros(4)
@@ -163,7 +173,7 @@ def _step(errors, z, gain, inverse):
     return step
 
 
-@numba.njit(cache=True, nogil=True)
+@unlocked
 def _start(position, acceleration, starts, rows, spread, string, z, gain, inverse):
     """Write the load's most probable state at the beginning of a stretch of k steps, as of `Starts`.
 
