@@ -34,8 +34,9 @@ def check_log(log: FlightLog) -> tuple[Finding, ...]:
         findings.append(dataclasses.replace(finding, rows=tuple(rows[list(finding.rows)])))
     if not any(finding.decision == "refuse" for finding in findings):
         good = without_bad_data(log, findings)
-        findings += motion.check(good)
-        share = hover_command(good) / FULL_COMMAND
+        moves = motion.motion(good)
+        findings += motion.check(good, moves)
+        share = hover_command(good, moves) / FULL_COMMAND
         if share < LEAST_HOVER:
             text = f"hovers at {100 * share:.0f} % of the full command; Crazyflies need 50 to 90 %"
             why = "is the unit right (for example newton instead of a fraction)?"
@@ -136,12 +137,13 @@ def _hover_commands(logs: Sequence[FlightLog]) -> tuple[list[float], str]:
     return plain, "PWM"
 
 
-def hover_command(log: FlightLog) -> float:
+def hover_command(log: FlightLog, moves: motion.Motion | None = None) -> float:
     """Return the command at a specific force of one g, from a linear fit over the rows in the air.
 
+    moves: the log's `motion`, where it is known.
     The result is NaN if these last less than a second, or if thrust comes from wrong rotor speeds.
     """
-    moves = motion.motion(log)
+    moves = motion.motion(log) if moves is None else moves
     if not moves.pwm or (log.thrust_is_measured and values.failed_speed_sensors(log)):
         return np.nan
     # Standing on the ground with the motors on looks like hovering at less thrust.

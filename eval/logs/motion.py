@@ -9,6 +9,7 @@ signs); agreement with the *conjugate* is a mirrored frame: one wrong sign, or t
 from __future__ import annotations
 
 import dataclasses
+import math
 from collections.abc import Iterator
 
 import numpy as np
@@ -174,9 +175,8 @@ def in_air(log: FlightLog, moves: Motion) -> np.ndarray:
     return height > lowest + CLEARANCE
 
 
-def check(log: FlightLog) -> Iterator[Finding]:
-    """Yield findings on the consistency between the columns of one flight."""
-    moves = motion(log)
+def check(log: FlightLog, moves: Motion) -> Iterator[Finding]:
+    """Yield findings on the consistency between the columns of one flight; moves: its `motion`."""
     if not moves.pwm:
         yield limit(
             "cmd_thrust_pwm", "no second with the motors on: signs, units and clocks were not checked"
@@ -485,6 +485,9 @@ def _best_lag(cause: list[np.ndarray], effect: list[np.ndarray]) -> tuple[float,
 
 
 def _correlation(a: np.ndarray, b: np.ndarray) -> float:
-    if a.std() == 0 or b.std() == 0 or not np.isfinite(a).all():
+    """Return the correlation of two signals (m,), 0 where one is constant, or the first is not logged."""
+    a, b = a - a.mean(), b - b.mean()
+    squares = float(a @ a), float(b @ b)
+    if 0.0 in squares or not np.isfinite(squares[0]):
         return 0.0
-    return float(np.corrcoef(a, b)[0, 1])
+    return float(a @ b) / math.sqrt(squares[0] * squares[1])

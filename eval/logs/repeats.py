@@ -188,7 +188,8 @@ def measured_rows(t: np.ndarray, value: np.ndarray, held: np.ndarray) -> tuple[n
     moving &= ~held[:-ahead]
     share = float((moving & ~new[1 : len(moving) + 1]).sum() / max(moving.sum(), 1))
     longest = longest_bridged(t[start])
-    for a, b in zip(start, np.append(start[1:], len(t))):
-        if t[min(b, len(t) - 1)] - t[a] > longest:
-            new[a:b] |= np.diff((t[a:b] - t[a]) // (0.5 * GAP_SECONDS), prepend=0.0) > 0.0
+    stop = np.append(start[1:], len(t))
+    long = t[np.minimum(stop, len(t) - 1)] - t[start] > longest
+    for a, b in zip(start[long], stop[long]):
+        new[a:b] |= np.diff((t[a:b] - t[a]) // (0.5 * GAP_SECONDS), prepend=0.0) > 0.0
     return new, share

@@ -285,9 +285,11 @@ def _check_frozen_command(
 ) -> Iterator[Finding]:
     """Yield a finding if an angle (m,) keeps moving long after its command (m,) became constant."""
     usual = np.ptp(np.percentile(angle, (5, 95)))
-    for a, b in zip(*_constant(column)):
+    start, stop = _constant(column)
+    long = log.t[stop - 1] - log.t[start] >= SHORTEST + SETTLES
+    for a, b in zip(start[long], stop[long]):
         rows = slice(int(np.searchsorted(log.t, log.t[a] + SETTLES)), b)
-        if log.t[b - 1] - log.t[a] < SHORTEST + SETTLES or log.command[rows, 0].min() < MOTORS_OFF:
+        if log.command[rows, 0].min() < MOTORS_OFF:
             continue
         moved = np.ptp(np.percentile(angle[rows], (5, 95)))
         if moved > max(FOLLOWS, 0.5 * usual):
