@@ -7,6 +7,8 @@ equations solved to rounding.
 
 from __future__ import annotations
 
+import functools
+
 import mujoco
 import numpy as np
 
@@ -57,6 +59,7 @@ def simulate(integrator: str, gravity: float, damped: bool) -> tuple[np.ndarray,
     return np.array(heights), np.array(rates)
 
 
+@functools.cache
 def exact(gravity: float, damped: bool) -> np.ndarray:
     """Return the rates (steps + 1, 3) [rad/s] by Euler's equations."""
     from scipy.integrate import solve_ivp  # here, as it takes half a second while others are measured

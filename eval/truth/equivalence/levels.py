@@ -179,14 +179,15 @@ def section(vehicle: Vehicle, sequences: list[Sequences], count: int, seed: int)
     """Return the section."""
     commands, starts = flying.side_by_side(vehicle, sequences)
     n = len(starts)
-    kinematic, slow, landed, drawn = measure(vehicle, "kinematic", sequences, count, seed)
+    kinematic, _, landed, drawn = measure(vehicle, "kinematic", sequences, count, seed)
     coarse = flying.fly(equations(n, "kinematic", PAPER_SUBSTEPS, vehicle), commands, starts)
     kinematic.append(WORDS.claim("levels", "paper_step", float(position_gap(landed, coarse).max())))
     mass = next(c for c in constants() if (c.section, c.name) == ("body", "mass"))
     uncertain = float(np.asarray(mass.uncertainty))
     scale = 1 + uncertain / vehicle.body_mass
-    heavier = flying.fly(equations(n, "kinematic", vehicle=vehicle), commands, starts, mass_scale=scale)
-    metres = float(np.median(position_gap(heavier, slow)[-1]))
+    plant = equations(n, "kinematic", PAPER_SUBSTEPS, vehicle)
+    heavier = flying.fly(plant, commands, starts, mass_scale=scale)
+    metres = float(np.median(position_gap(heavier, coarse)[-1]))
     rate_loop, flown, _, looped = measure(vehicle, "rate_loop", sequences, count, seed)
     gaps: dict[Attitude, tuple[Gaps, Gaps]] = {"kinematic": drawn, "rate_loop": looped}
     rows = [
