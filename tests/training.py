@@ -4,7 +4,6 @@ Evaluations and films are short there.
 """
 
 import collections
-import functools
 import io
 import os
 import signal
@@ -14,7 +13,6 @@ import zipfile
 import numpy as np
 import torch
 
-from inclined_landing.eval.pictures import frames
 from inclined_landing.train import cli, evaluation, warm_start
 
 
@@ -29,7 +27,6 @@ def train(arguments: list[str], log: str, dies_at: int | None = None) -> None:
     sys.stdout = sys.stderr = os.fdopen(handle, "w", buffering=1)
     evaluation.EVALUATION_STARTS = 2
     warm_start._ROUNDS, warm_start._STEPS, warm_start.CRITIC_FIRST = 2, 20, 1000
-    frames.render_flight = functools.partial(frames.render_flight, width=64, height=48, fps=1.0)
     if dies_at is not None:
         _die_before_renaming(dies_at)
     sys.exit(cli.main(arguments))

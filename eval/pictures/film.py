@@ -5,37 +5,33 @@ from __future__ import annotations
 import itertools
 from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 
 from inclined_landing.envs.flights import Flight
 from inclined_landing.envs.mission import Mission
+from inclined_landing.envs.rendering.renderer import SceneRenderer
 from inclined_landing.envs.shared.progress import Tick, stages
-from inclined_landing.eval.base.options import FITTED
-from inclined_landing.eval.pictures.frames import flight_view, render_flight, renderer_for, write_videos
+from inclined_landing.eval.pictures.frames import render_flight, write_videos
 from inclined_landing.models.base.errors import UserError
 
 _REST = 1.0  # s that the last frame of a flight stays
 
 
 def film(
-    flights: Sequence[Flight | Mission], sampled: float, slow: float, **look: Any
+    flights: Sequence[Flight | Mission], renderer: SceneRenderer, sampled: float, slow: float
 ) -> tuple[Iterator[np.ndarray], int, float]:
     """Return the frames of one vehicle's flights in sequence, their number, and the video's rate [1/s].
 
     sampled: frames per second of flight. The last frame of each flight is held for a moment.
     """
     rest = round(_REST * sampled / slow)
-    if look.get("camera") == FITTED:
-        look["camera"] = flight_view(flights, look["width"], look["height"])
 
     def frames():
-        with renderer_for(flights[0], look, look.get("renderer")) as renderer:  # one background for all
-            for flight in flights:
-                for frame in render_flight(flight, fps=sampled, slow=slow, **look | {"renderer": renderer}):
-                    yield frame
-                yield from itertools.repeat(frame, rest)
+        for flight in flights:
+            for frame in render_flight(flight, renderer, fps=sampled, slow=slow):
+                yield frame
+            yield from itertools.repeat(frame, rest)
 
     total = sum(round(flight.t[-1] * sampled) + 1 + rest for flight in flights)
     return frames(), total, sampled / slow

@@ -24,6 +24,7 @@ from inclined_landing.envs.rendering import (
     qpos_of_state,
 )
 from inclined_landing.envs.rendering.camera import nearest_position
+from inclined_landing.envs.rendering.renderer import SceneRenderer
 from inclined_landing.eval.base.options import FITTED, Look
 from inclined_landing.eval.pictures.labels import (
     MOTORS_CUT,
@@ -73,11 +74,15 @@ def flight_view(flights: Sequence[Track], width: int, height: int) -> View:
 
 def checked_look(look: Look) -> Look:
     """Return a look that can be drawn; raises UserError for one that cannot."""
-    if look.camera != FITTED:
-        check_picture_options(**dataclasses.asdict(look))
-        return look
-    check_picture_options(**dataclasses.asdict(dataclasses.replace(look, camera="hero")))
-    return dataclasses.replace(look, camera="hero") if look.backend == "gl" else look  # drawn with rays
+    plain = dataclasses.replace(look, camera="hero") if look.camera == FITTED else look
+    check_picture_options(**dataclasses.asdict(plain))
+    return plain if look.backend == "gl" else look  # a view is drawn with rays
+
+
+def renderer_for(flights: Sequence[Track], look: Look) -> SceneRenderer:
+    """Return the renderer of one vehicle's flights with a look; FITTED is the nearest view of all of them."""
+    camera = flight_view(flights, look.width, look.height) if look.camera == FITTED else look.camera
+    return make_renderer(look.width, look.height, camera, look.backend, vehicle=flights[0].task.vehicle)
 
 
 def pose_at(flight: Track, k: int):
@@ -123,74 +128,43 @@ def labels_of(flight: Flight | Mission, k: int) -> list[Label]:
 
 
 def render_flight(
-    flight: Flight | Mission,
-    *,
-    camera: str | View = "arena",
-    width: int = 640,
-    height: int = 480,
-    backend: str = "ray",
-    fps: float = FPS,
-    slow: float = 1.0,
-    renderer: Any = None,
+    flight: Flight | Mission, renderer: SceneRenderer, *, fps: float = FPS, slow: float = 1.0
 ) -> Iterator[np.ndarray]:
     """Yield frames (height, width, 3) uint8, `fps` of them per second of flight.
 
     slow: slow-down factor, stated by a label in the picture; other labels state the end of the flight.
-    renderer: draw with this one, made for the same look, and leave it open, so that its background is reused.
     """
     times = np.arange(flight.t[0], flight.t[-1] + 0.5 / fps, 1.0 / fps)
     frames = np.minimum(np.searchsorted(flight.t, times - 1e-9), len(flight.t) - 1)
-    close = camera in ("closeup", "onboard")
+    close = renderer.camera in ("closeup", "onboard")
     ghosts = ghosts_at(flight)
-    if camera == FITTED:
-        camera = flight_view([flight], width, height)
     colours = leg_colours(flight) if isinstance(flight, Mission) else None
-    look = {"width": width, "height": height, "camera": camera, "backend": backend}
-    with renderer_for(flight, look, renderer) as drawing:
-        trail = None if close else drawing.centres(flight.state)
+    trail = None if close else renderer.centres(flight.state)
 
-        def draw(part):
-            renderer, k = part
-            frame = renderer.render(
-                pose_at(flight, k),
-                trail=None if trail is None else trail[: k + 1],
-                trail_colour=None if colours is None else colours[: k + 1],
-                ghosts=[] if close else ghosts[k],
-                caption=caption(flight, k),
-            )
-            draw_labels(frame, speed_label(slow) + labels_of(flight, k))
-            return frame
+    def draw(part):
+        drawing, k = part
+        frame = drawing.render(
+            pose_at(flight, k),
+            trail=None if trail is None else trail[: k + 1],
+            trail_colour=None if colours is None else colours[: k + 1],
+            ghosts=[] if close else ghosts[k],
+            caption=caption(flight, k),
+        )
+        draw_labels(frame, speed_label(slow) + labels_of(flight, k))
+        return frame
 
-        yield draw((drawing, frames[0]))  # alone: its background serves the others
-        renderers = drawing.several(2)
-        for first in range(1, len(frames), len(renderers)):
-            yield from threads.in_threads(draw, list(zip(renderers, frames[first:])))
+    yield draw((renderer, frames[0]))  # alone: its background serves the others
+    renderers = renderer.several(2)
+    for first in range(1, len(frames), len(renderers)):
+        yield from threads.in_threads(draw, list(zip(renderers, frames[first:])))
 
 
-def renderer_for(flight: Track, look: Mapping[str, Any], renderer: Any = None):
-    """Return a context of the given renderer, which stays open, or of a new one for this look."""
-    if renderer is not None:
-        return contextlib.nullcontext(renderer)
-    return make_renderer(**look, vehicle=flight.task.vehicle)
-
-
-def strobe(
-    flight: Track,
-    *,
-    camera: str | View = "hero",
-    width: int = 1280,
-    height: int = 720,
-    copies: int = 10,
-    backend: str = "ray",
-    renderer: Any = None,
-) -> np.ndarray:
+def strobe(flight: Track, renderer: SceneRenderer, *, copies: int = 10) -> np.ndarray:
     """Return one picture of a whole flight, with copies of the vehicle along its path and a solid last one.
 
     At most `copies` precede the last; their colours run from violet (early) to orange (late), or show the
-    legs of a mission. renderer: as in `render_flight`.
+    legs of a mission.
     """
-    if camera == FITTED:
-        camera = flight_view([flight], width, height)
     chosen = select_copies(flight.state, copies + 1, _SPACING)[:-1]
     colours = _EARLY + path_share(flight.state)[:, None] * (_LATE - _EARLY)
     if isinstance(flight, Mission):
@@ -199,9 +173,7 @@ def strobe(
         Ghost(qpos_of_state(flight.state[k]), tuple(colours[k]), alpha=0.8, tint=0.7, shadow=True)
         for k in chosen
     ]
-    look = {"width": width, "height": height, "camera": camera, "backend": backend}
-    with renderer_for(flight, look, renderer) as drawing:
-        return drawing.render(pose_at(flight, -1), trail=flight.state, trail_colour=colours, ghosts=ghosts)
+    return renderer.render(pose_at(flight, -1), trail=flight.state, trail_colour=colours, ghosts=ghosts)
 
 
 def write_picture(path: pathlib.Path, picture: np.ndarray) -> pathlib.Path:

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import dataclasses
 from typing import Annotated
 
 import tyro
@@ -32,7 +31,7 @@ def command(
             simulated in MuJoCo, until the vehicle is at rest.
     """
     from inclined_landing.eval.pictures.flights import continue_flights, fly_from, say_outcomes, start_points
-    from inclined_landing.eval.pictures.frames import checked_look, strobe, write_picture
+    from inclined_landing.eval.pictures.frames import checked_look, renderer_for, strobe, write_picture
 
     if out.suffix.lower() != ".png":
         raise UserError(f"--out must be a .png file, not {out.name!r}")
@@ -41,5 +40,6 @@ def command(
     loaded = flown.load(policy)
     flights = fly_from(loaded, start_points([] if start is None else [start], loaded.task), flown.plant)
     flight = continue_flights(flights, until)[0]
-    write_picture(out, strobe(flight, **dataclasses.asdict(look)))
+    with renderer_for([flight], look) as renderer:
+        write_picture(out, strobe(flight, renderer))
     say_outcomes({"flight 1": flight}, f"the picture is {out}")

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import dataclasses
 import math
 from typing import Annotated
 
@@ -66,7 +65,7 @@ def command(
         say_outcomes,
         start_points,
     )
-    from inclined_landing.eval.pictures.frames import FPS, checked_look
+    from inclined_landing.eval.pictures.frames import FPS, checked_look, renderer_for
 
     storage.check_file(out)
     if out.suffix.lower() not in (".mp4", ".gif"):
@@ -77,13 +76,13 @@ def command(
     loaded = flown.load(policy)
     where = choose_starts(loaded.task, start_points(start, loaded.task), drawn, seed)
     flights = continue_flights(record_flights(loaded, flown.plant, where), until)
-    shown = dataclasses.asdict(look)
     most = GIF_FPS if out.suffix.lower() == ".gif" else FPS
     sampled = min(FPS, most * slow)  # there are no more states
-    frames, total, rate = film.film(flights, sampled, slow, **shown)
     files = {out: 1}
-    if gif and out.suffix.lower() != ".gif":
-        files[out.with_suffix(".gif")] = math.ceil(rate / GIF_FPS - 1e-9)
-    film.write(files, frames, total, rate)
+    with renderer_for(flights, look) as renderer:
+        frames, total, rate = film.film(flights, renderer, sampled, slow)
+        if gif and out.suffix.lower() != ".gif":
+            files[out.with_suffix(".gif")] = math.ceil(rate / GIF_FPS - 1e-9)
+        film.write(files, frames, total, rate)
     named = {f"flight {k + 1}": flight for k, flight in enumerate(flights)}
     say_outcomes(named, f"the video is {' and '.join(map(str, files))}")

@@ -9,7 +9,6 @@ and end [m], and the state at the hand-over to the landing policy: `distance` fr
 
 from __future__ import annotations
 
-import dataclasses
 import math
 from collections import Counter
 from collections.abc import Container, Mapping, Sequence
@@ -28,7 +27,7 @@ from inclined_landing.eval.base.options import Look
 from inclined_landing.eval.base.style import save_figure
 from inclined_landing.eval.pictures import film
 from inclined_landing.eval.pictures.figures.mission import mission_figure
-from inclined_landing.eval.pictures.frames import FPS, strobe, write_picture
+from inclined_landing.eval.pictures.frames import FPS, renderer_for, strobe, write_picture
 from inclined_landing.eval.pictures.starts import read_point
 from inclined_landing.eval.study.engine import Results, Study, View, count, fact
 from inclined_landing.eval.study.flights import policy_facts
@@ -140,10 +139,10 @@ def _draw(missions: Sequence[Mission], look: Look | None, folder: Path) -> Mappi
     captions = {"mission.png": "The first mission, and the paths of the others."}
     if look is None:
         return captions
-    how = dataclasses.asdict(look)
-    write_picture(folder / "flight.png", strobe(missions[0], **how))
-    frames, total, rate = film.film(missions[:1], FPS, 1.0, **how)
-    film.write({folder / "flight.mp4": 1, folder / "flight.gif": 2}, frames, total, rate)
+    with renderer_for(missions[:1], look) as renderer:
+        write_picture(folder / "flight.png", strobe(missions[0], renderer))
+        frames, total, rate = film.film(missions[:1], renderer, FPS, 1.0)
+        film.write({folder / "flight.mp4": 1, folder / "flight.gif": 2}, frames, total, rate)
     return captions | {"flight.png": "The first mission."}
 
 

@@ -10,8 +10,9 @@ import pytest
 from inclined_landing.envs.flights import Flight
 from inclined_landing.envs.policy import load_policy
 from inclined_landing.envs.tasks import make_task
+from inclined_landing.eval.base.options import Look
 from inclined_landing.eval.pictures.flights import fly_from
-from inclined_landing.eval.pictures.frames import render_flight, write_videos
+from inclined_landing.eval.pictures.frames import render_flight, renderer_for, write_videos
 from inclined_landing.eval.pictures.starts import usual_starts
 from inclined_landing.eval.pictures.to_rest import to_rest
 from inclined_landing.eval.study.rest import Fleet, cut_motors
@@ -29,19 +30,23 @@ def flight(seconds=0.4, period=0.02):
     return Flight(task=make_task("landing"), t=t, state=state, actions=none, commands=commands, **rest)
 
 
+def frames_of(flown, **options):
+    with renderer_for([flown], Look("arena", 160, 120, "ray")) as renderer:
+        return list(render_flight(flown, renderer, **options))
+
+
 def test_frames_follow_the_clock():
     """0.4 s at 50 frames a second: 21 samples, both ends included; 11 at half the rate."""
-    options = dict(width=160, height=120, backend="ray")
-    frames = list(render_flight(flight(), **options))
+    frames = frames_of(flight())
     assert len(frames) == 21
     assert all(frame.shape == (120, 160, 3) and frame.dtype == np.uint8 for frame in frames)
-    assert len(list(render_flight(flight(), fps=25, **options))) == 11
+    assert len(frames_of(flight(), fps=25)) == 11
     assert (frames[0] != frames[-1]).any()
 
 
 @pytest.mark.parametrize("suffix", [".mp4", ".gif"])
 def test_video_reads_back(tmp_path, suffix):
-    frames = list(render_flight(flight(0.2), width=160, height=120, backend="ray"))
+    frames = frames_of(flight(0.2))
     path = tmp_path / "new" / f"flight{suffix}"
     write_videos({path: 1}, frames, fps=25)
     assert [p.name for p in path.parent.iterdir()] == [path.name]
