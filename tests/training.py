@@ -56,10 +56,7 @@ def weights(path) -> dict[str, np.ndarray]:
 
 
 def assert_same_policy(a, b):
-    a, b = weights(a), weights(b)
-    assert set(a) == set(b)
-    for name in a:
-        np.testing.assert_array_equal(a[name], b[name], err_msg=name)
+    assert not differences(weights(a), weights(b))
 
 
 # What a resumed run may differ in: clocks and what draws or logs, what was asked for, the vehicles of the

@@ -4,11 +4,11 @@ import os
 import shutil
 import subprocess
 import sys
-from pathlib import Path
 
 import pytest
 
-ROOT = Path(__file__).parents[2]
+from tests import ROOT
+
 SUCCESS = ["-m", "inclined_landing.eval", "success", "landing-nominal", "--plant", "analytic"]
 LANDED = "reached the goal box in "
 BARE = {name: os.environ[name] for name in ("PATH", "LANG", "LC_ALL") if name in os.environ}
