@@ -23,7 +23,7 @@ from inclined_landing.models.effects import (
     touchdown,
 )
 from inclined_landing.models.effects import thrust as _thrust
-from inclined_landing.models.effects.effect import CHANNELS, REGIMES, Effect, FittedConstant, Parameter
+from inclined_landing.models.effects.effect import CHANNELS, REGIMES, Effect, Parameter
 from inclined_landing.models.vehicle import Vehicle
 
 _FAMILIES = (_thrust, battery, motor, rotors, body, air, delays, attitude, touchdown)
@@ -48,4 +48,4 @@ def apply(vehicle: Vehicle, effects: Mapping[str, Mapping[str, float]]) -> Vehic
     return vehicle
 
 
-__all__ = ["CHANNELS", "LIBRARY", "REGIMES", "Effect", "FittedConstant", "Parameter", "apply"]
+__all__ = ["CHANNELS", "LIBRARY", "REGIMES", "Effect", "Parameter", "apply"]

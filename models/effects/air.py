@@ -1,12 +1,6 @@
 """Effects of the air: drag, wind, inflow and surfaces nearby."""
 
-from inclined_landing.models.effects.effect import Effect, FittedConstant, Parameter, added
-
-
-def _rotor_drag(vehicle, values):
-    x, y, z = vehicle.drag_coefficients
-    lateral, axial = values.get("lateral", 1.0), values.get("axial", 1.0)
-    return vehicle.changed(drag_coefficients=(lateral * x, lateral * y, axial * z))
+from inclined_landing.models.effects.effect import Effect, Parameter
 
 
 def _ground_effect(vehicle, values):
@@ -21,8 +15,16 @@ def _ground_effect(vehicle, values):
 
 
 def _drag(name: str, parts: tuple[int, ...]) -> Parameter:
-    constant = FittedConstant(f"rotor drag, {name}", field="drag_coefficients", share=True, parts=parts)
-    return Parameter(name, neutral=1.0, bounds=(0.0, 10.0), plausible=2.0, negligible=0.1, constant=constant)
+    return Parameter(
+        name,
+        neutral=1.0,
+        bounds=(0.0, 10.0),
+        plausible=2.0,
+        negligible=0.1,
+        fields=tuple(f"drag_coefficients.{k}" for k in parts),
+        reported=f"rotor drag, {name}",
+        share=True,
+    )
 
 
 EFFECTS = (
@@ -40,7 +42,6 @@ EFFECTS = (
         remedy="Accept the corrected coefficients; a flight at high speed distinguishes it from quadratic "
         "body drag.",
         channels=("translation",),
-        apply=_rotor_drag,
         says="the rotors have {lateral} times the modelled drag across their axes, {axial} times along them",
     ),
     Effect(
@@ -56,7 +57,6 @@ EFFECTS = (
                 plausible=0.006,
                 negligible=0.001,
                 one_signed=True,
-                adds_to="effects_body_drag",
             ),
         ),
         regimes=("lateral", "climb"),
@@ -64,7 +64,6 @@ EFFECTS = (
         remedy="Remove parts that stand in the flow, or accept the term. A slow and a fast flight along the "
         "same path distinguish it from rotor drag.",
         channels=("translation",),
-        apply=added("effects_body_drag", "coefficient"),
         says="the body has a quadratic drag of {coefficient}",
     ),
     Effect(
@@ -83,7 +82,6 @@ EFFECTS = (
         remedy="Switch off the ventilation and close the doors. Hovering at two headings a quarter turn "
         "apart distinguishes it from a trim, which turns with the vehicle.",
         channels=("translation",),
-        apply=added("effects_wind", "x", "y"),
         says="the air moves with {x} along x and {y} along y",
         product="the force of the wind; its speed follows from the drag",
         of_the_place=True,
@@ -100,7 +98,6 @@ EFFECTS = (
         confused_with=("rotor_drag", "body_drag", "axial_inflow"),
         remedy="Expect a climb in fast flight, and command less thrust there.",
         channels=("translation",),
-        apply=added("effects_translational_lift", "coefficient"),
         says="fast flight through the air adds thrust ({coefficient})",
     ),
     Effect(
@@ -116,7 +113,6 @@ EFFECTS = (
         confused_with=("rotor_drag", "motor_lag", "translational_lift"),
         remedy="Command more thrust in climbs and less in descents than the hover thrust suggests.",
         channels=("translation",),
-        apply=added("effects_axial_inflow", "coefficient"),
         says="thrust decreases in climbs and increases in descents ({coefficient})",
     ),
     Effect(
@@ -136,7 +132,7 @@ EFFECTS = (
                 plausible=5.0,
                 negligible=0.5,
                 one_signed=True,
-                adds_to="effects_ground_effect",
+                fields=("effects_ground_effect",),
             ),
             Parameter(
                 "fading", unit="1/m", bounds=(0.0, 40.0), plausible=3.0, negligible=2.5, is_reference=True

@@ -1,6 +1,6 @@
 """Effects on the attitude loops."""
 
-from inclined_landing.models.effects.effect import Effect, FittedConstant, Parameter, added, scaled
+from inclined_landing.models.effects.effect import Effect, Parameter
 
 _QUICKEST = 0.002  # s, lag of a rate loop that the engine's step can follow
 _LEAST_TIME = 0.0081  # s, of an attitude loop that a control step of 0.02 s can follow
@@ -22,13 +22,6 @@ def _second_order(vehicle, values):
     return vehicle.changed(attitude_bandwidth=1.0 / new, attitude_damping=damping)
 
 
-def _yaw_loop(vehicle, values):
-    return vehicle.changed(
-        attitude_yaw_gain=vehicle.attitude_yaw_gain * values.get("gain", 1.0),
-        attitude_yaw_bandwidth=vehicle.attitude_yaw_bandwidth / values.get("time_constant", 1.0),
-    )
-
-
 def _level(vehicle, values):
     tilt = [values.get(name, 0.0) for name in ("roll", "pitch")]
     shown = (old + new for old, new in zip(vehicle.effects_mocap_tilt, tilt))
@@ -36,17 +29,19 @@ def _level(vehicle, values):
     return vehicle.changed(effects_mocap_tilt=tuple(shown), effects_attitude_trim=tuple(trim))
 
 
-def _angles(plausible: float, field: str, name: str) -> tuple[Parameter, ...]:
-    """Return the parameters of roll and pitch that are added to a field of two angles."""
-
-    def angle(axis: str, k: int) -> Parameter:
-        constant = FittedConstant(name.format(axis), field=field, unit="rad", offset=True, parts=(k,))
-        size = -plausible if k else plausible
-        return Parameter(
-            axis, unit="rad", bounds=(-0.25, 0.25), plausible=size, negligible=0.0035, constant=constant
+def _angles(plausible: float, name: str) -> tuple[Parameter, ...]:
+    """Return the parameters of roll and pitch; name: that of the constant reported for an axis, or ""."""
+    return tuple(
+        Parameter(
+            axis,
+            unit="rad",
+            bounds=(-0.25, 0.25),
+            plausible=sign * plausible,
+            negligible=0.0035,
+            reported=name.format(axis),
         )
-
-    return angle("roll", 0), angle("pitch", 1)
+        for axis, sign in (("roll", 1.0), ("pitch", -1.0))
+    )
 
 
 EFFECTS = (
@@ -63,14 +58,14 @@ EFFECTS = (
                 bounds=(0.4, 1.8),
                 plausible=0.85,
                 negligible=0.02,
-                constant=FittedConstant("attitude gain k", field="attitude_gain"),
+                fields=("attitude_gain",),
+                reported="attitude gain k",
             ),
         ),
         regimes=("attitude_step", "lateral"),
         confused_with=("attitude_time_constant", "attitude_trim"),
         remedy="Check units and signs of the commands, then calibrate: multiply the commands by 1/scale.",
         channels=("attitude",),
-        apply=scaled("attitude_gain"),
         says="the steady tilt is {scale} times the modelled one",
     ),
     Effect(
@@ -86,9 +81,8 @@ EFFECTS = (
                 bounds=(0.06, 4.0),
                 plausible=0.6,
                 negligible=0.08,
-                constant=FittedConstant(
-                    "attitude time constant tau", field="attitude_time_constant", unit="s"
-                ),
+                fields=("attitude_time_constant",),
+                reported="attitude time constant tau",
             ),
         ),
         regimes=("attitude_step", "lateral"),
@@ -113,9 +107,9 @@ EFFECTS = (
                 bounds=(-0.017, 0.15),
                 plausible=0.03,
                 negligible=0.008,
-                constant=FittedConstant(
-                    "rate loop lag", field="attitude_bandwidth", unit="s", inverse=True, offset=True
-                ),
+                fields=("attitude_bandwidth",),
+                inverse=True,
+                reported="rate loop lag",
             ),
         ),
         regimes=("attitude_step",),
@@ -141,13 +135,7 @@ EFFECTS = (
                 plausible=0.5,
                 negligible=0.05,
                 one_signed=True,
-                adds_to="effects_attitude_integral",
-                constant=FittedConstant(
-                    "attitude integral ki/kp",
-                    field="effects_attitude_integral",
-                    unit="rad/(rad s)",
-                    offset=True,
-                ),
+                reported="attitude integral ki/kp",
             ),
         ),
         regimes=("attitude_step", "lateral"),
@@ -155,7 +143,6 @@ EFFECTS = (
         remedy="Use the integral gains of the attitude and rate controllers that the model was identified "
         "with, or accept the new constant.",
         channels=("attitude",),
-        apply=added("effects_attitude_integral", "rate"),
         identified=False,
         says="the integral gain of the attitude loops is {rate} higher than modelled",
     ),
@@ -173,13 +160,7 @@ EFFECTS = (
                 plausible=0.4,
                 negligible=0.08,
                 one_signed=True,
-                adds_to="effects_attitude_saturation",
-                constant=FittedConstant(
-                    "attitude rate saturation, inverse",
-                    field="effects_attitude_saturation",
-                    unit="s/rad",
-                    offset=True,
-                ),
+                reported="attitude rate saturation, inverse",
             ),
         ),
         regimes=("attitude_step",),
@@ -187,7 +168,6 @@ EFFECTS = (
         remedy="Raise the controller's rate limit, or command smaller steps; a small and a large step "
         "distinguish it from a slow loop.",
         channels=("attitude",),
-        apply=added("effects_attitude_saturation", "inverse"),
         is_lag=True,
         identified=False,
         says="the attitude loops limit the angular rate; the inverse of the limit is {inverse}",
@@ -198,13 +178,12 @@ EFFECTS = (
         "frame: a tilted sensor, an uncalibrated accelerometer, or motion capture markers out of level.",
         formula="roll and pitch command + (roll, pitch)",
         source="the Crazyflie client's trim fields; -0.05 and -0.02 rad in the utias_fmpc flights",
-        parameters=_angles(0.02, "effects_attitude_trim", "{} trim"),
+        parameters=_angles(0.02, "{} trim"),
         regimes=("hover", "attitude_step", "lateral"),
         confused_with=("wind", "com_offset"),
         remedy="Calibrate the accelerometer on a level table, redefine the rigid body in the motion capture "
         "system, or enter the trim in the Crazyflie client.",
         channels=("attitude",),
-        apply=added("effects_attitude_trim", "roll", "pitch"),
         says="under level commands the vehicle holds {roll} of roll and {pitch} of pitch",
     ),
     Effect(
@@ -214,14 +193,13 @@ EFFECTS = (
         "is unchanged, but the thrust appears to point elsewhere.",
         formula="measured R = R Rx(roll) Ry(pitch)",
         source="the utias_fmpc flights hover with 0.05 rad of measured roll",
-        parameters=_angles(0.03, "effects_mocap_tilt", "measured {}, tilt"),
+        parameters=_angles(0.03, "measured {}, tilt"),
         regimes=("hover", "lateral", "climb"),
         confused_with=("wind", "attitude_trim"),
         remedy="Redefine the rigid body with the vehicle on a level table, or turn the measured attitude "
         "back. To distinguish it from wind, hover while the vehicle yaws: a tilt turns with it, wind does "
         "not.",
         channels=("translation", "attitude"),
-        apply=added("effects_mocap_tilt", "roll", "pitch"),
         says="the measured attitude is tilted relative to the rotors by {roll} of roll and {pitch} of pitch",
     ),
     Effect(
@@ -232,10 +210,7 @@ EFFECTS = (
         formula="measured R = R Rx(roll) Ry(pitch), command - (roll, pitch)/gain: to first order "
         "the loops hold the measured angles",
         source="accelerometer of the Crazyflie: levelled at start-up to about 1 deg",
-        parameters=(
-            Parameter("roll", unit="rad", bounds=(-0.25, 0.25), plausible=0.02, negligible=0.0035),
-            Parameter("pitch", unit="rad", bounds=(-0.25, 0.25), plausible=-0.02, negligible=0.0035),
-        ),
+        parameters=_angles(0.02, ""),
         regimes=("hover", "lateral", "climb"),
         confused_with=("wind", "mocap_tilt", "attitude_trim"),
         remedy="Calibrate the accelerometer on a level table. To distinguish it from wind, hover while the "
@@ -260,7 +235,6 @@ EFFECTS = (
         remedy="Log the onboard estimate and the motion capture: their difference grows with the speed. "
         "Trust the orientation of the motion capture more in the estimator, or give it a drag term.",
         channels=("attitude",),
-        apply=added("effects_estimator_lean", "lean"),
         says="the vehicle leans into its motion by {lean} more than its own estimate shows",
     ),
     Effect(
@@ -276,7 +250,8 @@ EFFECTS = (
                 bounds=(0.3, 2.0),
                 plausible=0.9,
                 negligible=0.01,
-                constant=FittedConstant("yaw rate gain", field="attitude_yaw_gain"),
+                fields=("attitude_yaw_gain",),
+                reported="yaw rate gain",
             ),
             Parameter(
                 "time_constant",
@@ -284,9 +259,9 @@ EFFECTS = (
                 bounds=(0.1, 8.0),
                 plausible=1.5,
                 negligible=0.1,
-                constant=FittedConstant(
-                    "yaw rate time constant", field="attitude_yaw_bandwidth", unit="s", inverse=True
-                ),
+                fields=("attitude_yaw_bandwidth",),
+                inverse=True,
+                reported="yaw rate time constant",
             ),
         ),
         regimes=("lateral", "hover"),
@@ -294,7 +269,6 @@ EFFECTS = (
         remedy="Use the yaw controller gains the model was identified with, or accept the new constants. A "
         "drift is visible while no yaw rate is commanded, a gain is not.",
         channels=("yaw",),
-        apply=_yaw_loop,
         is_lag=True,
         says="the yaw rate is {gain} times the modelled one, its time constant {time_constant} times",
         # Commands that only hold the heading answer to what disturbs it: 0.3 rad/s turn it by more.
@@ -310,7 +284,6 @@ EFFECTS = (
         confused_with=("yaw_loop",),
         remedy="Keep the vehicle still while it starts, so that the gyroscopes calibrate.",
         channels=("yaw",),
-        apply=added("effects_yaw_drift", "rate"),
         says="the heading turns by {rate} without a command",
     ),
 )

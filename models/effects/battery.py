@@ -67,7 +67,7 @@ EFFECTS = (
                 plausible=0.15,
                 negligible=0.01,
                 one_signed=True,
-                adds_to="effects_battery_sag",
+                fields=("effects_battery_sag",),
             ),
             Parameter(
                 "reference",

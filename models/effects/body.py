@@ -2,7 +2,7 @@
 
 import math
 
-from inclined_landing.models.effects.effect import Effect, Parameter, scaled
+from inclined_landing.models.effects.effect import Effect, Parameter
 
 
 def _slung_load(vehicle, values):
@@ -34,13 +34,21 @@ EFFECTS = (
         "inertia is unchanged.",
         formula="m = scale body_mass",
         source="bookkeeping; decks weigh 1 to 4 g, 3 to 12 % of the vehicle",
-        parameters=(Parameter("scale", neutral=1.0, bounds=(0.6, 1.8), plausible=1.08, negligible=0.005),),
+        parameters=(
+            Parameter(
+                "scale",
+                neutral=1.0,
+                bounds=(0.6, 1.8),
+                plausible=1.08,
+                negligible=0.005,
+                fields=("body_mass",),
+            ),
+        ),
         regimes=("hover", "climb", "lateral"),
         confused_with=("thrust_scale", "thrust_bias", "battery_sag", "slung_load"),
         remedy="Weigh the vehicle with everything it carries, and write the mass into the vehicle file. "
         "Free flight shows only thrust over mass, so no flight can distinguish mass from thrust.",
         channels=("translation",),
-        apply=scaled("body_mass"),
         says="the vehicle has {scale} times the modelled mass",
         product="the change of thrust over mass; weighing shows which of the two has changed",
         scales_thrust=True,
@@ -63,7 +71,7 @@ EFFECTS = (
                 plausible=0.004,
                 negligible=0.0003,
                 one_signed=True,
-                adds_to="effects_load_mass",
+                fields=("effects_load_mass",),
             ),
             Parameter(
                 "length",
@@ -97,20 +105,10 @@ EFFECTS = (
         source="rigid-body mechanics",
         parameters=(
             Parameter(
-                "x",
-                unit="m",
-                bounds=(-0.015, 0.015),
-                plausible=0.001,
-                negligible=1e-4,
-                along_the_arm=True,
+                "x", unit="m", bounds=(-0.015, 0.015), plausible=0.001, negligible=1e-4, along_the_arm=True
             ),
             Parameter(
-                "y",
-                unit="m",
-                bounds=(-0.015, 0.015),
-                plausible=-0.001,
-                negligible=1e-4,
-                along_the_arm=True,
+                "y", unit="m", bounds=(-0.015, 0.015), plausible=-0.001, negligible=1e-4, along_the_arm=True
             ),
             # The rate at which the loops take the moment over is kp ki'/(kp kp' + ki') in the firmware, with
             # its gains 6 of the angle and 250, 500 of the rate; in loops without integrals it is nearly 0.
@@ -123,7 +121,7 @@ EFFECTS = (
                 negligible=0.2,
                 is_reference=True,
                 linear=False,
-                adds_to="effects_attitude_hold",
+                fields=("effects_attitude_hold",),
             ),
         ),
         regimes=("climb", "hover", "attitude_step"),

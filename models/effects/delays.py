@@ -1,11 +1,10 @@
 """Dead times between a command and its effect, and between the vehicle's motion and its measurement."""
 
-from inclined_landing.models.effects.effect import Effect, FittedConstant, Parameter, added
+from inclined_landing.models.effects.effect import Effect, Parameter
 
 
-def _delay(longest: float, plausible: float, negligible: float, name: str, field: str) -> Parameter:
-    """Return the parameter of a delay that is added to a field of the vehicle."""
-    constant = FittedConstant(name, field=field, unit="s", offset=True)
+def _delay(name: str, longest: float, plausible: float, negligible: float) -> Parameter:
+    """Return the parameter of a delay."""
     return Parameter(
         "delay",
         unit="s",
@@ -13,8 +12,7 @@ def _delay(longest: float, plausible: float, negligible: float, name: str, field
         plausible=plausible,
         negligible=negligible,
         one_signed=True,
-        adds_to=field,
-        constant=constant,
+        reported=name,
     )
 
 
@@ -25,13 +23,12 @@ EFFECTS = (
         "firmware's loop.",
         formula="PWM(t - delay) in the equations of thrust and lag",
         source="radio links of the Crazyflie: 2 to 20 ms; streams of the nanobench flights up to 35 ms apart",
-        parameters=(_delay(0.15, 0.02, 0.002, "thrust delay", "effects_thrust_delay"),),
+        parameters=(_delay("thrust delay", 0.15, 0.02, 0.002),),
         regimes=("climb",),
         confused_with=("motor_lag", "spin_down", "mocap_delay"),
         remedy="Send commands at 100 Hz or more with a fresh radio channel, lower the load of the link, or "
         "predict the state by the delay before computing a command.",
         channels=("translation",),
-        apply=added("effects_thrust_delay", "delay"),
         is_lag=True,
         of_the_drive=True,
         says="thrust commands act {delay} after they were sent",
@@ -41,13 +38,12 @@ EFFECTS = (
         description="The roll, pitch and yaw rate commands act later than they were sent.",
         formula="roll, pitch and yaw rate command (t - delay) in the attitude loops",
         source="radio links of the Crazyflie; about 60 ms in the utias_fmpc flights",
-        parameters=(_delay(0.2, 0.04, 0.004, "attitude delay", "effects_attitude_delay"),),
+        parameters=(_delay("attitude delay", 0.2, 0.04, 0.004),),
         regimes=("attitude_step", "lateral"),
         confused_with=("second_order_attitude", "attitude_time_constant", "mocap_delay"),
         remedy="Send commands at 100 Hz or more with a fresh radio channel, lower the load of the link, or "
         "predict the state by the delay before computing a command.",
         channels=("attitude", "yaw"),
-        apply=added("effects_attitude_delay", "delay"),
         is_lag=True,
         says="attitude commands act {delay} after they were sent",
     ),
@@ -58,12 +54,11 @@ EFFECTS = (
         "for the log and for controllers.",
         formula="measured(t) = state(t - delay)",
         source="motion capture over a network: 4 to 20 ms",
-        parameters=(_delay(0.15, 0.02, 0.002, "mocap delay", "effects_mocap_delay"),),
+        parameters=(_delay("mocap delay", 0.15, 0.02, 0.002),),
         regimes=("attitude_step", "lateral", "climb"),
         confused_with=("thrust_delay", "attitude_delay"),
         remedy="Use the capture time stamps of the cameras instead of the time of arrival, or shift the log.",
         channels=("translation", "attitude", "yaw"),
-        apply=added("effects_mocap_delay", "delay"),
         is_lag=True,
         says="the measured pose is {delay} older than its time stamp",
     ),
@@ -81,17 +76,13 @@ EFFECTS = (
                 bounds=(-0.06, 0.06),
                 plausible=0.02,
                 negligible=0.003,
-                adds_to="effects_estimator_delay",
-                constant=FittedConstant(
-                    "estimator delay", field="effects_estimator_delay", unit="s", offset=True
-                ),
+                reported="estimator delay",
             ),
         ),
         regimes=("attitude_step", "lateral"),
         confused_with=("rotor_drag", "body_drag", "attitude_delay"),
         remedy="Log attitude and position with one clock, or shift the attitude of the log.",
         channels=("translation", "attitude"),
-        apply=added("effects_estimator_delay", "delay"),
         is_lag=True,
         says="the logged attitude is {delay} older than the logged position",
     ),

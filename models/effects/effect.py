@@ -3,48 +3,15 @@
 from __future__ import annotations
 
 import dataclasses
+import functools
 import math
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from typing import Any
 
 import numpy as np
 
-from inclined_landing.models.parameters import load_vehicle
+from inclined_landing.models.parameters import constants, load_vehicle
 from inclined_landing.models.vehicle import Vehicle
-
-
-@dataclasses.dataclass(frozen=True)
-class FittedConstant:
-    """A constant of the vehicle that a parameter changes, which `landing-eval identify` reports."""
-
-    name: str  # the word in reports
-    _: dataclasses.KW_ONLY
-    field: str  # of Vehicle
-    unit: str = "1"  # of the number reported
-    share: bool = False  # reported is the parameter itself
-    inverse: bool = False  # reported is 1 over the field
-    also: tuple[str, ...] = ()  # fields that scale with it
-    offset: bool = False  # the parameter is added to what is reported, else this is rescaled
-    parts: tuple[int, ...] = ()  # indices of the field's numbers that it changes; (): all
-
-    def number(self, vehicle: Vehicle, value: float) -> float:
-        """Return the number that is reported for a vehicle whose parameter is `value`."""
-        if self.share:
-            return value
-        constant = getattr(vehicle, self.field)
-        constant = constant[self.parts[0]] if self.parts else constant
-        if self.offset:
-            return value + (1.0 / constant if self.inverse else constant)
-        return value / constant if self.inverse else value * constant
-
-    def unit_of(self, vehicle: Vehicle) -> float:
-        """Return the change [unit] of the number when the factor increases by 1; 1 for a share."""
-        if self.unit == "s":
-            return self.number(vehicle, 2.0) - self.number(vehicle, 1.0)
-        if self.parts:
-            return float(np.mean([abs(getattr(vehicle, self.field)[k]) for k in self.parts])) + 1e-12
-        return 1.0
-
 
 AIR_DENSITY = 1.2  # kg/m3
 # A centre of mass that the motors are asked to hold may well be this many times as far off as one that makes
@@ -96,13 +63,18 @@ class Parameter:
     plausible: float  # a value that a real vehicle may well have
     negligible: float  # distance from neutral, in the unit, that nobody needs to correct
     one_signed: bool = False  # below neutral lies no physical cause, only room for the noise of a fit
-    # Field of Vehicle to which the size is added (`field.k`: to its number k). A one-signed effect may also
-    # be negative, as far as that field stays positive.
-    adds_to: str = ""
+    # Fields of Vehicle (`field.k`: their number k) that a factor multiplies, or divides where `inverse`, and
+    # to which any other parameter is added; see `Effect`. A one-signed effect may also be negative, as far as
+    # the first of them stays positive.
+    fields: tuple[str, ...] = ()
+    inverse: bool = False
+    # The name under which `landing-eval identify` reports the first field, or 1 over it where `inverse`; "":
+    # it reports the parameter itself, under the effect's name.
+    reported: str = ""
+    share: bool = False  # reported is the factor itself
     is_reference: bool = False  # the point about which another parameter acts; any value is neutral
     # For a reference: one size about a value between its bounds acts like two sizes, one about each bound.
     linear: bool = True
-    constant: FittedConstant | None = None
     along_the_arm: bool = False  # a length that goes with the vehicle's arms
     times: float = 1.0  # factor on its sizes relative to the shipped vehicle
 
@@ -110,6 +82,34 @@ class Parameter:
     def is_factor(self) -> bool:
         """Return whether the parameter multiplies (neutral is 1) instead of adding (neutral is 0)."""
         return self.neutral == 1.0 and not self.is_reference
+
+    @property
+    def reported_unit(self) -> str:
+        """Return the unit of `number`: that of the parameter or, for a factor, of what it multiplies."""
+        if not self.reported or self.share or not self.is_factor:
+            return self.unit
+        return "s" if self.inverse else next(c.unit for c in constants() if c.field == self.fields[0])
+
+    def present_in(self, vehicle: Vehicle) -> float:
+        """Return the number of the vehicle that the parameter changes, the first of several."""
+        return _number(vehicle, self.fields[0])
+
+    def number(self, vehicle: Vehicle, value: float) -> float:
+        """Return the number that is reported for a vehicle whose parameter is `value`."""
+        if not self.reported or self.share:
+            return value
+        present = self.present_in(vehicle)
+        if not self.is_factor:
+            return value + (1.0 / present if self.inverse else present)
+        return value / present if self.inverse else value * present
+
+    def _unit_of(self, vehicle: Vehicle) -> float:
+        """Return the change of `number` when the factor increases by 1; 1 for a share of one number."""
+        if self.reported_unit == "s":
+            return self.number(vehicle, 2.0) - self.number(vehicle, 1.0)
+        if "." in self.fields[0]:
+            return float(np.mean([abs(_number(vehicle, field)) for field in self.fields])) + 1e-12
+        return 1.0
 
     @property
     def possible(self) -> tuple[float, float]:
@@ -156,25 +156,22 @@ class Parameter:
 
     def _on_top_of(self, vehicle: Vehicle) -> Parameter:
         """Return the parameter with bounds that account for the size that the vehicle already has."""
-        if self.constant and self.constant.offset and self.constant.inverse:
+        if self.inverse and not self.is_factor:
             # A lag added to 1 / field: of a quicker vehicle's there is less that may be missing.
-            less = self.constant.number(load_vehicle(), 0.0) - self.constant.number(vehicle, 0.0)
+            less = self.number(load_vehicle(), 0.0) - self.number(vehicle, 0.0)
             return dataclasses.replace(
                 self, bounds=(min(self.neutral, self.bounds[0] + less), self.bounds[1])
             )
-        field, _, part = self.adds_to.partition(".")
-        present = 0.0
-        if field:
-            present = float(getattr(vehicle, field)[int(part)] if part else getattr(vehicle, field))
+        present = self.present_in(vehicle) if self.fields else 0.0
         if self.is_reference and present > 0.0:
             return dataclasses.replace(self, neutral=present)
         if self.one_signed and present > 0.0:
             bounds = self.neutral - present, self.bounds[1]
             return dataclasses.replace(self, bounds=bounds, one_signed=False)
-        if not self.is_factor or self.constant is None:
+        if not self.is_factor or not self.reported:
             return self
-        times = self.constant.unit_of(load_vehicle()) / self.constant.unit_of(vehicle)
-        if self.constant.field == "drag_coefficients":
+        times = self._unit_of(load_vehicle()) / self._unit_of(vehicle)
+        if self.fields[0].startswith("drag_coefficients"):
             times *= heavy_rotor_drag(vehicle) / heavy_rotor_drag(load_vehicle())
         times = float(np.clip(times, 0.1, 20.0))
         plausible = 1.0 + (self.plausible - 1.0) * times
@@ -220,8 +217,10 @@ class Parameter:
 class Effect:
     """A physical cause, with the change that it makes to the vehicle in both plants.
 
-    `apply(vehicle, values)` returns the vehicle with the effect added to those it already has: scales
-    multiply, offsets add. `values` maps parameter names to numbers; a missing name is neutral.
+    `apply(vehicle, values)` returns the vehicle with the effect added to those it already has. `values` maps
+    parameter names to numbers; a missing name is neutral. By default it changes the `fields` of the
+    parameters. A parameter without any is added to the entry of the table `effects` that has the effect's
+    name, or to one of its numbers where there are several parameters.
 
     Other effects are referred to by name. `eval/gap/model/fitting.py` defines how an effect is fitted.
     """
@@ -235,8 +234,8 @@ class Effect:
     confused_with: tuple[str, ...]  # effects that ordinary flights do not distinguish from it
     remedy: str  # advice to the user
     channels: tuple[str, ...]  # in what it shows: see CHANNELS
-    apply: Callable[[Vehicle, Mapping[str, float]], Vehicle]
     says: str  # part of a sentence; {parameter} stands for its value with unit
+    apply: Callable[[Vehicle, Mapping[str, float]], Vehicle] = None  # type: ignore[assignment]
     # Log channel (or `yaw_rate_command`) -> least change over the flights for it to be identifiable.
     requires: Mapping[str, float] = dataclasses.field(default_factory=dict)
     of_the_drive: bool = False  # acts between the thrust command and the speed of the rotors
@@ -252,6 +251,17 @@ class Effect:
     product: str = ""
     told_by: str = ""  # a sentence on how to measure it without a flight; "": by flights
 
+    def __post_init__(self):
+        if self.apply is None:
+            own = f"effects_{self.name}"
+            several = len(self.parameters) > 1
+            parameters = tuple(
+                p if p.fields else dataclasses.replace(p, fields=(f"{own}.{k}" if several else own,))
+                for k, p in enumerate(self.parameters)
+            )
+            object.__setattr__(self, "parameters", parameters)
+            object.__setattr__(self, "apply", functools.partial(_with_fields, parameters))
+
     @property
     def neutral(self) -> dict[str, float]:
         """The parameter values with no effect."""
@@ -260,7 +270,7 @@ class Effect:
     @property
     def is_constant(self) -> bool:
         """Whether it rescales constants that every vehicle has, rather than adding something."""
-        return all(p.is_factor and p.constant for p in self.parameters)
+        return all(p.is_factor and p.reported for p in self.parameters)
 
     @property
     def plausible(self) -> dict[str, float]:
@@ -310,7 +320,7 @@ class Effect:
             dataclasses.replace(
                 p,
                 plausible=p.plausible * (HELD if p.along_the_arm else 1.0),
-                bounds=(p.neutral, p.neutral) if p.adds_to == "effects_attitude_hold" else p.bounds,
+                bounds=(p.neutral, p.neutral) if p.fields == ("effects_attitude_hold",) else p.bounds,
             )
             for p in self.parameters
         )
@@ -332,30 +342,21 @@ REGIMES = ("hover", "climb", "lateral", "attitude_step", "near_surface", "low_ba
 CHANNELS = ("translation", "attitude", "yaw", "requests", "touchdown")
 
 
-def scaled(*fields: str):
-    """Return the `apply` of an effect that multiplies vehicle fields (numbers or tuples) by its scale."""
-
-    def apply(vehicle: Vehicle, values: Mapping[str, float]) -> Vehicle:
-        factor = values.get("scale", 1.0)
-        changes: dict[str, Any] = {}
-        for field in fields:
-            old = getattr(vehicle, field)
-            changes[field] = tuple(x * factor for x in old) if isinstance(old, tuple) else old * factor
-        return vehicle.changed(**changes)
-
-    return apply
+def _number(vehicle: Vehicle, label: str) -> float:
+    """Return the number in a field of the vehicle, `field`, or one of several, `field.k`."""
+    field, _, part = label.partition(".")
+    return getattr(vehicle, field)[int(part)] if part else getattr(vehicle, field)
 
 
-def added(field: str, *parameters: str):
-    """Return the `apply` of an effect that adds its parameters to a field, a number or a tuple."""
-
-    def apply(vehicle: Vehicle, values: Mapping[str, float]) -> Vehicle:
-        old = getattr(vehicle, field)
-        new = [values.get(name, 0.0) for name in parameters]
-        if isinstance(old, tuple):
-            changed: Any = tuple(a + b for a, b in zip(old, new))
-        else:
-            changed = old + new[0]
-        return vehicle.changed(**{field: changed})
-
-    return apply
+def _with_fields(parameters: Sequence[Parameter], vehicle: Vehicle, values: Mapping[str, float]) -> Vehicle:
+    """Return the vehicle with the fields of the parameters changed, the default of `Effect.apply`."""
+    changes: dict[str, Any] = {}
+    for p in parameters:
+        value = values.get(p.name, p.neutral)
+        for label in p.fields:
+            field, _, part = label.partition(".")
+            there, k = changes.get(field, getattr(vehicle, field)), int(part or 0)
+            old = there[k] if part else there
+            new = old + value if not p.is_factor else old / value if p.inverse else old * value
+            changes[field] = (*there[:k], new, *there[k + 1 :]) if part else new
+    return vehicle.changed(**changes)

@@ -1,15 +1,6 @@
 """Effects on how fast the thrust follows its command."""
 
-from inclined_landing.models.effects.effect import Effect, FittedConstant, Parameter, added
-
-
-def _lag(vehicle, values):
-    scale = values.get("scale", 1.0)
-    return vehicle.changed(
-        thrust_lag_rate=vehicle.thrust_lag_rate / scale,
-        thrust_state_gain=vehicle.thrust_state_gain / scale,
-    )
-
+from inclined_landing.models.effects.effect import Effect, Parameter
 
 EFFECTS = (
     Effect(
@@ -25,7 +16,9 @@ EFFECTS = (
                 bounds=(0.2, 5.0),
                 plausible=1.5,
                 negligible=0.08,
-                constant=FittedConstant("thrust lag", field="thrust_lag_rate", unit="s", inverse=True),
+                fields=("thrust_lag_rate", "thrust_state_gain"),
+                inverse=True,
+                reported="thrust lag",
             ),
         ),
         regimes=("climb",),
@@ -33,7 +26,6 @@ EFFECTS = (
         remedy="Check propellers and motors for drag (hair in the bearing, a bent shaft). Fly steps of "
         "thrust to distinguish a lag from a pure delay.",
         channels=("translation",),
-        apply=_lag,
         is_lag=True,
         of_the_drive=True,
         says="the motors' time constant is {scale} times the modelled one",
@@ -43,22 +35,12 @@ EFFECTS = (
         description="The motors slow down more slowly than they speed up, because only the air brakes them.",
         formula="dOmega/dt divided by (1 + excess) while it is negative",
         source="brushed motors without active braking",
-        parameters=(
-            Parameter(
-                "excess",
-                bounds=(-0.6, 6.0),
-                plausible=1.0,
-                negligible=0.1,
-                one_signed=True,
-                adds_to="effects_spin_down",
-            ),
-        ),
+        parameters=(Parameter("excess", bounds=(-0.6, 6.0), plausible=1.0, negligible=0.1, one_signed=True),),
         regimes=("climb",),
         confused_with=("motor_lag", "thrust_delay", "thrust_bias"),
         remedy="No repair is needed. Brake earlier in descents; steps of thrust up and down distinguish it "
         "from a symmetric lag.",
         channels=("translation",),
-        apply=added("effects_spin_down", "excess"),
         is_lag=True,
         of_the_drive=True,
         says="the motors' time constant is larger by a share of {excess} while they slow down",

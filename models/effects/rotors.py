@@ -2,7 +2,7 @@
 
 from collections.abc import Mapping
 
-from inclined_landing.models.effects.effect import Effect, Parameter, added
+from inclined_landing.models.effects.effect import Effect, Parameter
 from inclined_landing.models.vehicle import Vehicle
 
 _PLACES = ("front right", "back right", "back left", "front left")
@@ -39,17 +39,12 @@ def _weak_rotor(k: int) -> Effect:
                 plausible=0.12,
                 negligible=0.01,
                 one_signed=True,
-                adds_to=f"effects_rotor_loss.{k}",
+                fields=(f"effects_rotor_loss.{k}",),
             ),
             # Torque lost over thrust lost: 1 of a weak motor; of a cut propeller, whose thrust goes with the
             # fourth power of the diameter and whose torque with the fifth, 1.25 and more (CrazyPAD: 2).
             Parameter(
-                "torque",
-                neutral=1.0,
-                bounds=(0.0, 2.2),
-                plausible=1.25,
-                negligible=0.1,
-                is_reference=True,
+                "torque", neutral=1.0, bounds=(0.0, 2.2), plausible=1.25, negligible=0.1, is_reference=True
             ),
         ),
         regimes=("hover", "climb", "lateral"),
@@ -79,7 +74,6 @@ EFFECTS = (
         remedy="It only reduces the control range. Swap propellers between the two directions, and align the "
         "motors.",
         channels=("requests",),
-        apply=added("effects_yaw_imbalance", "share"),
         says="the requests of the motors differ in yaw by a share of {share}",
         requires={"request_differences": 0.0},
     ),

@@ -1,7 +1,7 @@
 """Effects on the size of the collective thrust."""
 
 from inclined_landing.models.effects.battery import with_sag
-from inclined_landing.models.effects.effect import Effect, FittedConstant, Parameter, added, scaled
+from inclined_landing.models.effects.effect import Effect, Parameter
 from inclined_landing.models.parameters import load_vehicle
 
 EFFECTS = (
@@ -18,12 +18,9 @@ EFFECTS = (
                 bounds=(0.2, 2.0),
                 plausible=0.88,
                 negligible=0.005,
-                constant=FittedConstant(
-                    "thrust gain",
-                    field="thrust_state_gain",
-                    share=True,
-                    also=("thrust_direct_gain", "effects_thrust_bias"),
-                ),
+                fields=("thrust_state_gain", "thrust_direct_gain"),
+                reported="thrust gain",
+                share=True,
             ),
         ),
         regimes=("hover", "climb", "lateral"),
@@ -32,7 +29,6 @@ EFFECTS = (
         "or "
         "accept the corrected thrust function.",
         channels=("translation",),
-        apply=scaled("thrust_state_gain", "thrust_direct_gain"),
         says="the rotors give {scale} times the modelled thrust",
         product="the change of thrust over mass; weighing shows which of the two has changed",
         scales_thrust=True,
@@ -50,7 +46,6 @@ EFFECTS = (
         "Check the "
         "firmware's base thrust.",
         channels=("translation",),
-        apply=added("effects_thrust_bias", "force"),
         of_the_drive=True,
         says="a constant {force} is added to the thrust",
         scales_thrust=True,
@@ -98,7 +93,6 @@ EFFECTS = (
         remedy="Start with a full battery, fly shorter, or log the battery voltage and compensate the thrust "
         "command for it.",
         channels=("translation",),
-        apply=added("effects_thrust_fade", "rate"),
         of_the_drive=True,
         says="the thrust falls by {rate} of flight",
     ),

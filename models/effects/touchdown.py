@@ -2,7 +2,7 @@
 
 import math
 
-from inclined_landing.models.effects.effect import Effect, Parameter, added, scaled
+from inclined_landing.models.effects.effect import Effect, Parameter
 
 
 def _spring(vehicle, stiffness: float, damping: float):
@@ -40,13 +40,21 @@ EFFECTS = (
         description="The friction of the feet on the platform differs from the model.",
         formula="friction = scale contact_friction",
         source="Coulomb friction; plastic on wood 0.2 to 0.9",
-        parameters=(Parameter("scale", neutral=1.0, bounds=(0.05, 3.0), plausible=0.6, negligible=0.05),),
+        parameters=(
+            Parameter(
+                "scale",
+                neutral=1.0,
+                bounds=(0.05, 3.0),
+                plausible=0.6,
+                negligible=0.05,
+                fields=("contact_friction",),
+            ),
+        ),
         regimes=("touchdown",),
         confused_with=("platform_tilt", "contact_damping"),
         remedy="Tilt the platform until a switched-off vehicle slides: the tangent of that angle is the "
         "friction. Put rubber on the feet or a mat on the platform.",
         channels=("touchdown",),
-        apply=scaled("contact_friction"),
         says="the friction of the feet is {scale} times the modelled one",
     ),
     Effect(
@@ -93,7 +101,6 @@ EFFECTS = (
         confused_with=("platform_height", "contact_stiffness"),
         remedy="Stand the vehicle on the floor and read the height of its motion capture origin.",
         channels=("touchdown",),
-        apply=added("effects_foot_height", "offset"),
         says="the feet reach lower by {offset}",
     ),
     Effect(
@@ -101,12 +108,20 @@ EFFECTS = (
         description="The platform's surface is higher or lower than measured.",
         formula="surface height at x = 0: platform_surface_height + offset",
         source="bookkeeping; a tape measure is accurate to about 5 mm",
-        parameters=(Parameter("offset", unit="m", bounds=(-0.15, 0.15), plausible=0.02, negligible=0.001),),
+        parameters=(
+            Parameter(
+                "offset",
+                unit="m",
+                bounds=(-0.15, 0.15),
+                plausible=0.02,
+                negligible=0.001,
+                fields=("platform_surface_height",),
+            ),
+        ),
         regimes=("touchdown", "near_surface"),
         confused_with=("platform_tilt", "contact_stiffness", "foot_height", "ground_effect"),
         remedy="Put a motion capture marker on the platform, or the vehicle itself, and read its height.",
         channels=("touchdown",),
-        apply=added("platform_surface_height", "offset"),
         says="the platform's surface is off by {offset} in height",
     ),
     Effect(

@@ -113,12 +113,12 @@ def test_every_effect_is_complete(name):
         assert low <= p.neutral <= high and low < p.plausible < high and p.unit
         assert 0 < p.negligible < high - low
         assert not (p.one_signed and -low > 0.1 * (high - low))  # room for noise only
-        if p.constant:  # what identify reports is a field that the effect changes
+        if p.reported:  # what identify reports is a field that the effect changes
             moved = effect.apply(V, {p.name: p.plausible})
             changed_fields = {
                 f.name for f in dataclasses.fields(V) if getattr(moved, f.name) != getattr(V, f.name)
             }
-            assert {p.constant.field, *p.constant.also} & changed_fields
+            assert p.fields[0].partition(".")[0] in changed_fields
     first = effect.parameters[0]
     assert abs(first.plausible - first.neutral) > first.negligible
     # Every size within the bounds can be flown.
@@ -203,11 +203,11 @@ def test_sizes_of_times_and_drags_are_those_of_the_quantity(name):
     """Nothing changes beside the shipped vehicle; of half a constant, as much is twice the share."""
     effect = LIBRARY[name]
     for p in effect.parameters:
-        if not p.is_factor or p.constant is None:
-            assert p.is_reference or p.adds_to or p.sized_for(V) == p
+        if not (p.is_factor and p.reported):
+            assert p.is_reference or p.fields or p.sized_for(V) == p
             continue
         assert p.sized_for(V) == dataclasses.replace(p, bounds=p.sized_for(V).bounds)
-        if not (p.constant.unit == "s" or p.constant.parts):
+        if not (p.reported_unit == "s" or "." in p.fields[0]):
             continue
         half = effect.apply(V, {q.name: 0.5 for q in effect.parameters if q.is_factor})
         own = p.sized_for(half)

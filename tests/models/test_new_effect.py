@@ -25,7 +25,6 @@ ENTRY = """
         confused_with=("estimator_lean",),
         remedy="Fly slowly.",
         channels=("attitude",),
-        apply=added("effects_swirl", "c"),
         says="fast flight turns the vehicle ({c})",
     ),
 """

@@ -42,7 +42,7 @@ _RANGE = re.compile(r"\{(\d+)\.\.(\d+)\.\.(\d+)\}")
 TUNED = tuple(
     name
     for name, effect in LIBRARY.items()
-    if any(p.constant and not p.constant.field.startswith("effects_") for p in effect.parameters)
+    if any(p.reported and not p.fields[0].startswith("effects_") for p in effect.parameters)
 )
 
 

@@ -53,7 +53,7 @@ from inclined_landing.eval.gap.result import (
 )
 from inclined_landing.eval.logs import FlightLog
 from inclined_landing.models.base.errors import UserError
-from inclined_landing.models.effects import LIBRARY, Effect, FittedConstant
+from inclined_landing.models.effects import LIBRARY, Effect
 from inclined_landing.models.parameters import as_vehicle
 from inclined_landing.models.vehicle import Vehicle
 
@@ -372,21 +372,20 @@ def _parameters(problem: Problem, values: Values, sized, before: Vehicle) -> tup
         if LIBRARY[effect].of_the_place or (p.is_reference and not _is_there(problem, effect, values, sized)):
             continue
         label = effect if effect.endswith(p.name) else f"{effect} {p.name}"
-        c = p.constant or FittedConstant(label.replace("_", " "), field="", unit=p.unit, share=True)
         ends = (float(np.clip(value + s * half_width(problem, known.error), *p.bounds)) for s in (-1, 1))
-        low, high = sorted(c.number(before, x) for x in ends)
+        low, high = sorted(p.number(before, x) for x in ends)
         note = "at its bound" if thresholds.at_bound(value, p.bounds) else ""
         if LIBRARY[effect].is_lag and not all(f.shows_lags for f in problem.flights):
             note = "confounded with other lags at this sampling rate"
         result.append(
             Identified(
-                name=c.name,
-                field=c.field,
-                unit=c.unit,
-                before=c.number(before, p.neutral),
-                value=c.number(before, value),
+                name=p.reported or label.replace("_", " "),
+                field=p.fields[0].partition(".")[0] if p.reported else "",
+                unit=p.reported_unit,
+                before=p.number(before, p.neutral),
+                value=p.number(before, value),
                 ci95=(low, high),
-                spread=known.between * abs(c.number(before, 2.0) - c.number(before, 1.0)),
+                spread=known.between * abs(p.number(before, 2.0) - p.number(before, 1.0)),
                 note=note,
             )
         )

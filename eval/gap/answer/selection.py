@@ -195,7 +195,7 @@ def judged_by(effect: Effect, values: Mapping[str, float]) -> list[int]:
     There is none for an effect that acts on the motors' requests alone, and for a moment that the loops take
     over within the second ahead: it takes up some of the range of control, and changes the motion little.
     """
-    hold = [values.get(p.name, 0.0) for p in effect.parameters if p.adds_to == "effects_attitude_hold"]
+    hold = [values.get(p.name, 0.0) for p in effect.parameters if p.fields == ("effects_attitude_hold",)]
     if hold and hold[0] * HORIZON > 1.0:
         return []
     acts = ({"translation", "attitude"}, {"attitude"}, {"yaw"})
