@@ -9,10 +9,9 @@ own renderer.
 
 from __future__ import annotations
 
-import numpy as np
-
 from inclined_landing.envs.rendering.camera import View, look_at
 from inclined_landing.envs.rendering.pose import Ghost, Pose, pose_from_state, qpos_of_state
+from inclined_landing.models.base import schema
 from inclined_landing.models.base.errors import UserError, shown
 from inclined_landing.models.vehicle import Vehicle
 
@@ -35,12 +34,7 @@ __all__ = [
 
 def check_picture_options(width: int, height: int, camera: str | View, backend: str) -> None:
     """Raise UserError for options of a picture that no renderer supports."""
-    for size in (width, height):
-        if not isinstance(size, (int, np.integer)) or not 16 <= size <= 4096:
-            raise UserError(
-                "width and height of a picture must be 16 to 4096 pixels, not "
-                f"{shown(f'{width!r} x {height!r}', 40)}"
-            )
+    schema.check({"width": width, "height": height}, {"width": schema.Pixels, "height": schema.Pixels})
     if not isinstance(camera, View) and not (isinstance(camera, str) and camera in CAMERAS):
         raise UserError(f"unknown camera {shown(repr(camera), 40)}; choose from {', '.join(CAMERAS)}")
     if not (isinstance(backend, str) and backend in BACKENDS):
@@ -67,6 +61,8 @@ def make_renderer(
     """
     check_picture_options(width, height, camera, backend)
     if backend == "gl":
+        if isinstance(camera, View):
+            raise UserError("a free View needs backend='ray'; otherwise name a camera of the scene")
         from inclined_landing.envs.rendering.gl import GLRenderer
 
         return GLRenderer(vehicle, width, height, camera, scale)

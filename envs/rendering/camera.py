@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import dataclasses
 
+import mujoco
 import numpy as np
 
 FAR = 1e4  # m; parallel rays are cast from a point this far away
@@ -94,7 +95,9 @@ class View:
 
 
 def camera_view(model, data, camera: int | str, width: int, height: int) -> View:
-    """Return the view of a camera of the model, after `mj_camlight`."""
+    """Return the view of a camera of the model, after `mj_kinematics`."""
+    mujoco.mj_comPos(model, data)
+    mujoco.mj_camlight(model, data)
     k = model.camera(camera).id if isinstance(camera, str) else camera
     right, up, back = data.cam_xmat[k].reshape(3, 3).T
     orthographic = bool(model.cam_projection[k])

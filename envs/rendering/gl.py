@@ -10,17 +10,16 @@ from __future__ import annotations
 import contextlib
 import ctypes
 import os
-from typing import Any, cast
+from collections.abc import Sequence
+from typing import Any
 
 import mujoco
 import numpy as np
 
 from inclined_landing.envs.rendering import overlay
-from inclined_landing.envs.rendering.camera import View, camera_view
-from inclined_landing.envs.rendering.pose import Ghost, Pose, hang_load
-from inclined_landing.envs.rendering.renderer import Drawing, SceneRenderer
+from inclined_landing.envs.rendering.pose import Ghost, Pose, place
+from inclined_landing.envs.rendering.renderer import SceneRenderer
 from inclined_landing.models.base.errors import UserError
-from inclined_landing.models.vehicle import Vehicle
 
 _REMEDY = (
     "install it with `apt-get install libegl1 libgl1` (or `libosmesa6`), unset MUJOCO_GL and "
@@ -34,9 +33,10 @@ _MAX_GEOMS = 20000
 _process: int | None = None  # the process that used OpenGL first
 
 
-def lost() -> bool:
-    """Return whether this is a forked process whose parent has used OpenGL, so that it cannot use OpenGL."""
-    return _process not in (None, os.getpid())
+def _check_process() -> None:
+    """Raise UserError in a forked process whose parent has used OpenGL."""
+    if _process not in (None, os.getpid()):
+        raise UserError(_LOST)
 
 
 def _loads(*names: str) -> bool:
@@ -71,8 +71,6 @@ def _kind() -> str:
 def _context(width: int, height: int):
     """Return a current OpenGL context of MuJoCo, or raise UserError with the remedy."""
     global _process
-    if lost():
-        raise UserError(_LOST)
     kind = _kind()
     try:
         if kind == "egl":
@@ -92,21 +90,12 @@ class GLRenderer(SceneRenderer):
 
     backend = "gl"
 
-    def __init__(
-        self,
-        vehicle: Vehicle | None = None,
-        width: int = 640,
-        height: int = 480,
-        camera: str | View = "arena",
-        scale: float | None = None,
-    ):
-        if isinstance(camera, View):
-            raise UserError("a free View needs backend='ray'; otherwise name a camera of the scene")
-        self._mjr = None
-        self._gl: Any = _context(width, height)
-        super().__init__(vehicle, width, height, camera, scale)
+    _gl: Any = None
+    _mjr: Any = None
 
     def _prepare(self, model: mujoco.MjModel) -> None:
+        _check_process()
+        self._gl = self._gl or _context(self.width, self.height)
         self._gl.make_current()
         if self._mjr is not None:
             self._mjr.free()
@@ -119,16 +108,6 @@ class GLRenderer(SceneRenderer):
         mujoco.mjr_setBuffer(mujoco.mjtFramebuffer.mjFB_OFFSCREEN.value, self._mjr)
         self._vehicle_root = model.body("crazyflie").id
 
-    def _pose(self, scene, inclination: float | None) -> Pose:
-        if lost():
-            raise UserError(_LOST)
-        return super()._pose(scene, inclination)
-
-    def _move_platform(self, pose: Pose) -> None:
-        k = int(self.model.body("platform").mocapid[0])
-        for data in (self.data, self._ghost_data):
-            data.mocap_pos[k], data.mocap_quat[k] = pose.platform_pos, pose.platform_quat
-
     def close(self) -> None:
         """Free the OpenGL context."""
         if self._mjr is not None:
@@ -138,36 +117,26 @@ class GLRenderer(SceneRenderer):
             self._gl.free()
         self._gl, self._mjr, self.closed = None, None, True
 
-    def _draw(self, pose: Pose, drawing: Drawing) -> np.ndarray:
-        self._place(self.data, pose.qpos)
+    def _draw(self, pose: Pose, ghosts: Sequence[Ghost], trail, trail_colour, show_vehicle) -> np.ndarray:
+        _check_process()
+        self._view(pose)
         self._gl.make_current()
         camera = mujoco.MjvCamera()
         camera.type = mujoco.mjtCamera.mjCAMERA_FIXED
         camera.fixedcamid = self.model.camera(self.camera).id
         everything = mujoco.mjtCatBit.mjCAT_ALL.value
         mujoco.mjv_updateScene(self.model, self.data, self._option, None, camera, everything, self._scene)
-        if not drawing.show_vehicle:
+        if not show_vehicle:
             self._recolour(0, lambda rgba: 0.0 * rgba, others=False)
-        for ghost in drawing.ghosts:
+        for ghost in ghosts:
             self._add_ghost(ghost)
-        if drawing.trail is not None:
-            self._add_trail(drawing.trail, drawing.trail_colour)
+        if trail is not None:
+            self._add_trail(trail, trail_colour)
         rect = mujoco.MjrRect(0, 0, self.width, self.height)
         frame = np.empty((self.height, self.width, 3), np.uint8)
         mujoco.mjr_render(rect, self._scene, self._mjr)
         mujoco.mjr_readPixels(frame, None, rect, self._mjr)
         return np.ascontiguousarray(frame[::-1])
-
-    def _view(self, pose: Pose) -> View:
-        self._place(self.data, pose.qpos)
-        return camera_view(self.model, self.data, cast(str, self.camera), self.width, self.height)
-
-    def _place(self, data: mujoco.MjData, qpos: np.ndarray) -> None:
-        data.qpos[:7] = qpos
-        hang_load(self.model, data)
-        mujoco.mj_kinematics(self.model, data)
-        mujoco.mj_comPos(self.model, data)
-        mujoco.mj_camlight(self.model, data)
 
     def _recolour(self, first: int, change, others: bool) -> None:
         """Change the vehicle's colours from scene geom `first`; `others`: hide the rest."""
@@ -181,7 +150,8 @@ class GLRenderer(SceneRenderer):
                 geom.rgba[3] = 0.0
 
     def _add_ghost(self, ghost: Ghost) -> None:
-        self._place(self._ghost_data, ghost.qpos)
+        self._ghost_data.mocap_pos, self._ghost_data.mocap_quat = self.data.mocap_pos, self.data.mocap_quat
+        place(self.model, self._ghost_data, ghost.qpos)
         first = self._scene.ngeom
         mujoco.mjv_addGeoms(
             self.model, self._ghost_data, self._option, mujoco.MjvPerturb(),

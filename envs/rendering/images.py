@@ -6,6 +6,8 @@ import numpy as np
 
 from inclined_landing.envs.rendering.camera import View
 
+_NEAR = 0.005  # m; what is nearer to the camera is not projected
+
 
 def edges(label: np.ndarray, reach: int = 1) -> np.ndarray:
     """Return a mask (h, w) of pixels whose neighbourhood contains more than one label."""
@@ -73,13 +75,19 @@ def bilinear(image: np.ndarray, x: np.ndarray, y: np.ndarray) -> np.ndarray:
     return top * (1 - b) + bottom * b
 
 
-def bounding_box(view: View, points: np.ndarray, margin: int) -> tuple[int, int, int, int]:
-    """Return the pixel box (c0, r0, c1, r1) around points (n, 3) [m], `margin` pixels wider."""
+def bounding_box(
+    view: View, points: np.ndarray, margin: float, radius: float | np.ndarray = 0.0
+) -> tuple[int, int, int, int] | None:
+    """Return the box (c0, r0, c1, r1) in the picture around spheres, or None outside it.
+
+    points (n, 3) and radius [m]; the box is `margin` pixels wider.
+    """
     pixel, depth = view.project(points)
-    if depth.min() < 0.05:
-        return (0, 0, view.width, view.height)
-    low, high = pixel.min(axis=0) - margin, pixel.max(axis=0) + margin
-    return (*np.floor(low).astype(int), *np.ceil(high).astype(int))
+    if depth.min() < _NEAR:
+        return (0, 0, view.width, view.height) if depth.max() > _NEAR else None
+    reach = (radius / view.pixel_size(depth) + margin)[:, None]
+    low, high = np.floor((pixel - reach).min(axis=0)), np.ceil((pixel + reach).max(axis=0))
+    return clip_box((*low, *high), view.width, view.height)
 
 
 def clip_box(box, width: int, height: int) -> tuple[int, int, int, int] | None:

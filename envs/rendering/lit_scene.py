@@ -12,8 +12,7 @@ import mujoco
 import numpy as np
 
 from inclined_landing.envs.rendering import scenery
-from inclined_landing.envs.rendering.camera import FAR, View, camera_view, dot
-from inclined_landing.envs.rendering.pose import hang_load
+from inclined_landing.envs.rendering.camera import FAR, dot
 
 # Light in display units: what a white surface receives from above, below, the sun and +x.
 _SKY, _GROUND, _SUN, _SIDE = 0.62, 0.46, 0.42, 0.05
@@ -32,8 +31,6 @@ class LitScene:
     def __init__(self, model: mujoco.MjModel):
         self.model, self.data = model, mujoco.MjData(model)
         m = model
-        joint = m.joint("crazyflie")
-        self.body, self.qpos = int(joint.bodyid[0]), int(joint.qposadr[0])
         material, has = m.geom_matid, m.geom_matid >= 0
         self.rgba = np.where(has[:, None], m.mat_rgba[material], m.geom_rgba)
         self.specular = np.where(has, m.mat_specular[material], 0.2)
@@ -41,11 +38,12 @@ class LitScene:
         self.emission = np.where(has, m.mat_emission[material], 0.0)
         frame = [k for k in range(m.ngeom) if m.geom(k).name.startswith("frame_")]
         self.floor, self.wall = m.geom("floor").id, m.geom("back_wall").id
-        moving = m.body_rootid[m.geom_bodyid] == m.body_rootid[self.body]
+        moving = m.body_rootid[m.geom_bodyid] == m.body("crazyflie").id
         shown = m.geom_group <= scenery.VISUAL_GROUP
         translucent = self.rgba[:, 3] < 1.0
         self.discs = np.flatnonzero(moving & shown & translucent)
         self.parts = np.flatnonzero(moving & shown & ~translucent)
+        self.drawn = np.concatenate([self.parts, self.discs])  # of the vehicle
         group = np.full(m.ngeom, UNSEEN)
         group[~moving & shown] = SCENE
         group[self.parts] = VEHICLE
@@ -60,8 +58,7 @@ class LitScene:
         self.sun_eye = np.array([0.0, 0.0, 1.0]) - FAR * direction
         self.base = self._base_rectangle()
         self.casters = np.flatnonzero((group == SCENE) & (m.geom_rbound > 0))  # planes have none
-        self.place(np.array([0.0, 0.0, -100.0, 1.0, 0.0, 0.0, 0.0]))
-        self.shadow_box = self._shadow_box()
+        self.cast_shadows()
 
     def twin(self) -> LitScene:
         """Return the same scene for another thread: the model is shared, the data are not."""
@@ -88,30 +85,15 @@ class LitScene:
         half = np.abs(frame.reshape(3, 3)) @ size[3:]
         return np.stack([centre[:2] - half[:2], centre[:2] + half[:2]])
 
-    def _shadow_box(self) -> np.ndarray:
-        """Return the rectangle [low (2,), high (2,)] normal to the light that contains all static shadows."""
+    def cast_shadows(self) -> None:
+        """Set `shadow_box`, the rectangle [low (2,), high (2,)] normal to the light of all static shadows."""
+        mujoco.mj_kinematics(self.model, self.data)
+        self.shadow_box = np.zeros((2, 2))
         if not len(self.casters):
-            return np.zeros((2, 2))
+            return
         centre = self.data.geom_xpos[self.casters] @ self.sun[:2].T
         bound = self.model.geom_rbound[self.casters][:, None] + 2.0 * SUN_RADIUS * _TALLEST
-        return np.stack([(centre - bound).min(axis=0), (centre + bound).max(axis=0)])
-
-    def move_platform(self, position: np.ndarray, quaternion: np.ndarray) -> None:
-        """Move the slab of a model without base."""
-        k = int(self.model.body("platform").mocapid[0])
-        self.data.mocap_pos[k], self.data.mocap_quat[k] = position, quaternion
-        mujoco.mj_kinematics(self.model, self.data)
-        self.shadow_box = self._shadow_box()
-
-    def place(self, qpos: np.ndarray) -> None:
-        self.data.qpos[self.qpos : self.qpos + 7] = qpos
-        hang_load(self.model, self.data)
-        mujoco.mj_kinematics(self.model, self.data)
-
-    def view(self, camera, width: int, height: int) -> View:
-        mujoco.mj_comPos(self.model, self.data)
-        mujoco.mj_camlight(self.model, self.data)
-        return camera_view(self.model, self.data, camera, width, height)
+        self.shadow_box = np.stack([(centre - bound).min(axis=0), (centre + bound).max(axis=0)])
 
     def cast(self, eye: np.ndarray, rays: np.ndarray, *groups: int, normals: bool = True):
         """Return first hits: geom (n,), -1 for none; distance (n,); normals (n, 3) or None."""

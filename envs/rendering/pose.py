@@ -18,7 +18,7 @@ _PARKED = -10.0  # m; a platform below this height is absent
 class Pose:
     """Pose of the vehicle as qpos (7,), position [m] and quaternion, and position and quaternion of the slab.
 
-    based: the slab has its base. Without one it can move, without a rebuild of the drawn model.
+    has_base: the slab has its base. Without one it can move, without a rebuild of the drawn model.
     """
 
     qpos: np.ndarray
@@ -58,14 +58,15 @@ def qpos_of_state(state) -> np.ndarray:
     return np.concatenate([state[..., :3], turned], axis=-1)
 
 
-def hang_load(model: mujoco.MjModel, data: mujoco.MjData) -> None:
-    """Make the slung load of the vehicle in `data`, if it has one, hang straight down.
+def place(model: mujoco.MjModel, data: mujoco.MjData, qpos: np.ndarray) -> None:
+    """Place the vehicle at qpos (7,) in `data`.
 
-    States do not contain the direction of the load.
+    A slung load hangs straight down, because states do not contain its direction.
     """
+    data.joint("crazyflie").qpos[:] = qpos
     if mujoco.mj_name2id(model, mujoco.mjtObj.mjOBJ_JOINT, "load") >= 0:
-        vehicle, load = data.joint("crazyflie").qpos, data.joint("load").qpos
-        load[:] = vehicle[3:] * [1.0, -1.0, -1.0, -1.0]
+        data.joint("load").qpos[:] = qpos[3:] * [1.0, -1.0, -1.0, -1.0]
+    mujoco.mj_kinematics(model, data)
 
 
 def pose_from_state(state, platform, has_base: bool = True) -> Pose:

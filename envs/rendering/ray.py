@@ -21,7 +21,6 @@ from inclined_landing.envs.rendering.images import (
     bilinear,
     bounding_box,
     box_blur,
-    clip_box,
     covered,
     dilated,
     edges,
@@ -35,8 +34,8 @@ from inclined_landing.envs.rendering.lit_scene import (
     LitScene,
     unit_vectors,
 )
-from inclined_landing.envs.rendering.pose import Ghost, Pose
-from inclined_landing.envs.rendering.renderer import Drawing, SceneRenderer
+from inclined_landing.envs.rendering.pose import Ghost, Pose, place
+from inclined_landing.envs.rendering.renderer import SceneRenderer
 from inclined_landing.models import threads
 
 _SKY_LOW, _SKY_HIGH = np.array([0.90, 0.93, 0.97]), np.array([0.82, 0.87, 0.94])
@@ -67,29 +66,30 @@ class RayRenderer(SceneRenderer):
 
     def _prepare(self, model: mujoco.MjModel) -> None:
         self._scene = LitScene(model)
-        self.model = model
+        self.model, self.data = model, self._scene.data
         self._cached_background: tuple = (None, None)
 
-    def _move_platform(self, pose: Pose) -> None:
-        self._scene.move_platform(pose.platform_pos, pose.platform_quat)
+    def _platform_moved(self) -> None:
+        self._scene.cast_shadows()
 
     def several(self, count: int) -> list[RayRenderer]:
         """Return `count` renderers, which share the background and the ghosts that have been drawn."""
         renderers = [self, *(copy.copy(self) for _ in range(count - 1))]
         for renderer in renderers[1:]:
             renderer._scene = self._scene.twin()
+            renderer.data = renderer._scene.data
         return renderers
 
     def close(self) -> None:
         """Discard the cached background."""
         self._cached_background = (None, None)
 
-    def _draw(self, pose: Pose, drawing: Drawing) -> np.ndarray:
+    def _draw(self, pose: Pose, ghosts: Sequence[Ghost], trail, trail_colour, show_vehicle) -> np.ndarray:
         view = self._view(pose)
         back = self._background(view)
-        copies: list[tuple[np.ndarray, Ghost | None]] = [(ghost.qpos, ghost) for ghost in drawing.ghosts]
-        copies += [(pose.qpos, None)] if drawing.show_vehicle else []
-        drawn = self._draw_foreground(view, back, copies, drawing)
+        copies: list[tuple[np.ndarray, Ghost | None]] = [(ghost.qpos, ghost) for ghost in ghosts]
+        copies += [(pose.qpos, None)] if show_vehicle else []
+        drawn = self._draw_foreground(view, back, copies, trail, trail_colour)
         frame = back.frame.copy()
         if drawn is not None:
             h, w = drawn.depth.shape
@@ -99,23 +99,16 @@ class RayRenderer(SceneRenderer):
 
     # --- scene and background -------------------------------------------------------------------
 
-    def _view(self, pose: Pose) -> View:
-        self._scene.place(pose.qpos)
-        if isinstance(self.camera, View):
-            return self.camera
-        return self._scene.view(self.camera, self.width, self.height)
-
     def _background(self, view: View) -> _Background:
         """Return the picture without the vehicle, cached while neither camera nor platform moves."""
         key = (
             view.origin.tobytes(),
             view.axes.tobytes(),
-            self._scene.data.mocap_pos.tobytes(),
-            self._scene.data.mocap_quat.tobytes(),
+            self.data.mocap_pos.tobytes(),
+            self.data.mocap_quat.tobytes(),
         )
         if key != self._cached_background[0]:
-            model = self._scene.model
-            fixed = isinstance(self.camera, View) or model.camera(self.camera).bodyid[0] == 0
+            fixed = isinstance(self.camera, View) or self.model.camera(self.camera).bodyid[0] == 0
             self._cached_background = (key, self._draw_background(view, fine=fixed))
         return self._cached_background[1]
 
@@ -188,14 +181,18 @@ class RayRenderer(SceneRenderer):
     # --- the moving part ------------------------------------------------------------------------
 
     def _draw_foreground(
-        self, view: View, back: _Background, copies: list[tuple[np.ndarray, Ghost | None]], drawing: Drawing
+        self,
+        view: View,
+        back: _Background,
+        copies: list[tuple[np.ndarray, Ghost | None]],
+        trail: np.ndarray | None,
+        trail_colour,
     ) -> overlay.Canvas | None:
         """Return the canvas with everything in front of the background, or None."""
-        scene, trail, trail_colour = self._scene, drawing.trail, drawing.trail_colour
-        boxes, shadows, casters = [], [], []
+        boxes, shadows, casters, drawn = [], [], [], self._scene.drawn
         for qpos, ghost in copies:
-            scene.place(qpos)
-            box = self._bounds(view)
+            place(self.model, self.data, qpos)
+            box = bounding_box(view, self.data.geom_xpos[drawn], 2.0, 1.05 * self.model.geom_rbound[drawn])
             if box is not None:
                 distance = float(view.project(qpos[None, :3])[1][0])
                 casters.append((distance, qpos, ghost, box))
@@ -206,7 +203,7 @@ class RayRenderer(SceneRenderer):
                     shadows.append((shadow, 1.0 if ghost is None else min(1.0, 1.3 * ghost.alpha)))
                     boxes.append(shadow[0])
         if trail is not None:
-            box = clip_box(bounding_box(view, trail, 3), self.width, self.height)
+            box = bounding_box(view, trail, 3.0)
             if box is not None:
                 boxes.append(box)
         if not boxes:
@@ -232,29 +229,14 @@ class RayRenderer(SceneRenderer):
             overlay.draw_polyline(canvas, view, trail, width=width, colour=colour, alpha=fade)
         return canvas
 
-    def _bounds(self, view: View):
-        """Return the pixel box (c0, r0, c1, r1) around the placed vehicle, or None outside the picture."""
-        data, model = self._scene.data, self._scene.model
-        geoms = np.concatenate([self._scene.parts, self._scene.discs])
-        pixel, depth = view.project(data.geom_xpos[geoms])
-        if depth.min() < 0.005:
-            return (0, 0, self.width, self.height) if depth.max() > 0.005 else None
-        radius = model.geom_rbound[geoms] / view.pixel_size(depth) * 1.05 + 2.0
-        box = (
-            *np.floor((pixel - radius[:, None]).min(axis=0)).astype(int),
-            *np.ceil((pixel + radius[:, None]).max(axis=0)).astype(int),
-        )
-        return clip_box(box, self.width, self.height)
-
     def _shadow(self, view: View, back: _Background):
         """Return pixel box and coverage (h, w) of the placed vehicle's shadow on the background, or None.
 
         The silhouette is drawn in the light's frame and looked up from the pixels' surface points.
         """
         scene = self._scene
-        geoms = np.concatenate([scene.parts, scene.discs])
-        centre = scene.data.geom_xpos[geoms] @ scene.sun.T
-        bound = scene.model.geom_rbound[geoms][:, None]
+        centre = scene.data.geom_xpos[scene.drawn] @ scene.sun.T
+        bound = scene.model.geom_rbound[scene.drawn][:, None]
         low = (centre - bound).min(axis=0) - 0.02
         high = (centre + bound).max(axis=0) + 0.02
         # the shadow lies on surfaces farther along the light within the silhouette's rectangle
@@ -263,7 +245,7 @@ class RayRenderer(SceneRenderer):
             point = corner @ scene.sun
             fall = max((point[2] + 0.3) / -scene.sun[2, 2], 0.0)
             reach += [point, point + fall * scene.sun[2]]
-        box = clip_box(bounding_box(view, np.array(reach), 2), self.width, self.height)
+        box = bounding_box(view, np.array(reach), 2.0)
         if box is None:
             return None
         c0, r0, c1, r1 = box
@@ -339,7 +321,7 @@ class RayRenderer(SceneRenderer):
 
     def _vehicle_layer(self, view: View, qpos, box, ghost: Ghost | None):
         """Return covered pixels (rows, columns), their colour weighted by coverage, coverage, depth."""
-        self._scene.place(qpos)
+        place(self.model, self.data, qpos)
         scene = self._scene
         c0, r0, c1, r1 = box
         h, w = r1 - r0, c1 - c0

@@ -3,34 +3,26 @@
 from __future__ import annotations
 
 import abc
-import dataclasses
+import contextlib
 from collections.abc import Sequence
 
 import mujoco
 import numpy as np
 
 from inclined_landing.envs.rendering import overlay, scenery
-from inclined_landing.envs.rendering.camera import View
-from inclined_landing.envs.rendering.pose import Ghost, Pose, as_pose
+from inclined_landing.envs.rendering.camera import View, camera_view
+from inclined_landing.envs.rendering.pose import Ghost, Pose, as_pose, place
 from inclined_landing.models.base.errors import UserError
 from inclined_landing.models.parameters import load_vehicle
 from inclined_landing.models.vehicle import Vehicle
 
 
-@dataclasses.dataclass(frozen=True)
-class Drawing:
-    """The items drawn in addition to the scene itself."""
-
-    trail: np.ndarray | None  # (k, 3) m, k > 1
-    trail_colour: np.ndarray | None  # (3,) or (k, 3)
-    ghosts: Sequence[Ghost]
-    show_vehicle: bool
-
-
-class SceneRenderer(abc.ABC):
-    """Base of the renderers: picture size, camera and the model of the latest platform."""
+class SceneRenderer(contextlib.AbstractContextManager, abc.ABC):
+    """Base of the renderers: picture size, camera, and the model of the latest platform with its data."""
 
     closed = False
+    model: mujoco.MjModel
+    data: mujoco.MjData
 
     def __init__(
         self,
@@ -42,8 +34,8 @@ class SceneRenderer(abc.ABC):
     ):
         self.vehicle = vehicle or load_vehicle()
         self.width, self.height, self.camera = int(width), int(height), camera
-        self.scale = scenery.default_vehicle_scale(camera) if scale is None else float(scale)
-        self.model: mujoco.MjModel
+        usual = 1.0 if camera in scenery.CLOSE_CAMERAS else scenery.SCALE
+        self.scale = usual if scale is None else float(scale)
         self._platform = "none yet"
         self.set_platform(as_pose(None, self.vehicle))
 
@@ -69,9 +61,10 @@ class SceneRenderer(abc.ABC):
             trail = self.centres(trail)
         ghosts = [g if isinstance(g, Ghost) else Ghost(np.asarray(g, float)) for g in ghosts]
         trail = None if trail is None or len(trail) < 2 else np.asarray(trail, float)
-        frame = self._draw(pose, Drawing(trail, trail_colour, ghosts, show_vehicle))
+        frame = self._draw(pose, ghosts, trail, trail_colour, show_vehicle)
         if caption:
-            overlay.draw_caption(frame, caption, scenery.scale_note(self.scale))
+            note = "" if self.scale == 1.0 else f"vehicle drawn {self.scale:g}x"
+            overlay.draw_caption(frame, caption, note)
         return frame
 
     def centres(self, states) -> np.ndarray:
@@ -93,49 +86,46 @@ class SceneRenderer(abc.ABC):
         self.set_platform(pose)
         return pose
 
+    def _view(self, pose: Pose) -> View:
+        """Return the view of the camera at a pose, at which the vehicle is placed."""
+        place(self.model, self.data, pose.qpos)
+        if isinstance(self.camera, View):
+            return self.camera
+        return camera_view(self.model, self.data, self.camera, self.width, self.height)
+
     def set_platform(self, pose: Pose) -> None:
         """Set the platform's pose; a model whose platform has a base is rebuilt for each pose."""
         if pose.platform_key != self._platform:
-            self._rebuild(pose)
+            self._platform = pose.platform_key
+            platform = None if self._platform is None else (pose.platform_pos, pose.platform_quat)
+            model = scenery.rendering_model(
+                self.vehicle,
+                platform,
+                has_base=pose.has_base,
+                scale=self.scale,
+                aspect=self.width / self.height,
+                far=self.camera == "arena",
+            )
+            self._prepare(model)
         if not pose.has_base:
-            self._move_platform(pose)
+            k = int(self.model.body("platform").mocapid[0])
+            self.data.mocap_pos[k], self.data.mocap_quat[k] = pose.platform_pos, pose.platform_quat
+            self._platform_moved()
 
-    def _rebuild(self, pose: Pose) -> None:
-        absent = pose.platform_key is None
-        platform = (None, None) if absent else (pose.platform_pos, pose.platform_quat)
-        model = scenery.rendering_model(
-            self.vehicle,
-            platform=platform,
-            has_base=pose.has_base,
-            scale=self.scale,
-            aspect=self.width / self.height,
-            far=self.camera == "arena",
-        )
-        self._prepare(model)
-        self._platform = pose.platform_key
-
-    @abc.abstractmethod
-    def _move_platform(self, pose: Pose) -> None:
-        """Move the platform of the prepared model."""
+    def _platform_moved(self) -> None:
+        """Hook for what depends on the pose of a platform without base."""
 
     @abc.abstractmethod
     def _prepare(self, model: mujoco.MjModel) -> None:
         """Prepare a new model for drawing."""
 
     @abc.abstractmethod
-    def _draw(self, pose: Pose, drawing: Drawing) -> np.ndarray:
-        """Return the frame (height, width, 3) uint8 without a caption."""
-
-    @abc.abstractmethod
-    def _view(self, pose: Pose) -> View:
-        """Return the view of the camera at a pose."""
+    def _draw(self, pose: Pose, ghosts: Sequence[Ghost], trail, trail_colour, show_vehicle) -> np.ndarray:
+        """Return the frame (height, width, 3) uint8 without a caption; see `render`."""
 
     @abc.abstractmethod
     def close(self) -> None:
         """Free the resources; the renderer cannot be used afterwards."""
-
-    def __enter__(self):
-        return self
 
     def __exit__(self, *_):
         self.close()

@@ -7,14 +7,13 @@ import numpy as np
 
 from inclined_landing.envs.rendering.camera import look_at, nearest_position
 from inclined_landing.envs.rendering.pose import qpos_of_state
-from inclined_landing.models.parameters import load_vehicle
 from inclined_landing.models.scene import build_spec
 from inclined_landing.models.vehicle import Vehicle
 
 SCALE = 3.0  # the vehicle is a few pixels wide in a full view: it is drawn this much larger
 VISUAL_GROUP = 2
 _DISC_ALPHA = 0.22  # of the rotors' discs, which the scene leaves unseen
-_CLOSE_CAMERAS = ("closeup", "onboard")
+CLOSE_CAMERAS = ("closeup", "onboard")  # there it is drawn in its own size
 _FRAME_RADIUS = 0.006  # m
 # The camera `arena` looks along this line, and the arena fills this share of its picture: the caption and the
 # drawn size of a vehicle at the edge need the rest.
@@ -25,20 +24,10 @@ _FAR_FRAME_RADIUS = 0.011  # m; thinner bars would be less than a pixel wide fro
 _UPPER_FRONT = (1, 4)  # the bar along x at the lowest y and the highest z
 
 
-def default_vehicle_scale(camera) -> float:
-    """Return 1 for cameras close to the vehicle, `SCALE` for all others."""
-    return 1.0 if camera in _CLOSE_CAMERAS else SCALE
-
-
-def scale_note(scale: float) -> str:
-    """Return the caption's note on the vehicle's drawn size."""
-    return "" if scale == 1.0 else f"vehicle drawn {scale:g}x"
-
-
 def rendering_model(
-    vehicle: Vehicle | None = None,
+    vehicle: Vehicle,
+    platform: tuple[np.ndarray, np.ndarray] | None,
     *,
-    platform=None,
     has_base: bool = True,
     scale: float = SCALE,
     aspect: float = 4 / 3,
@@ -47,35 +36,28 @@ def rendering_model(
     """Return the drawn model: visual geoms only, a closed base, the arena's edges, the camera `arena`.
 
     aspect: width over height of the picture. far: draw the edges for a camera that shows all of them.
-    platform: (position (3,), quaternion (4,)) of the slab, (None, None) for an arena without one;
-    default: as in the vehicle file. based: whether it has a base; without one it is a mocap body that can be
-    moved.
+    platform: (position (3,), quaternion (4,)) of the slab, None for an arena without one. has_base: whether
+    it has a base; without one it is a mocap body that can be moved.
     scale: size of the drawn vehicle, see `scale_vehicle`.
     """
-    vehicle = vehicle or load_vehicle()
     spec = build_spec(vehicle)
-    strip_physics(spec)
+    # What is not drawn, and the skin, which rays miss.
+    for element in [*spec.actuators, *spec.sensors, *spec.keys, *spec.skins]:
+        spec.delete(element)
     add_frame(spec, vehicle, _FAR_FRAME_RADIUS if far else _FRAME_RADIUS)
     spec.material("disc").rgba[3] = _DISC_ALPHA
     add_arena_camera(spec, vehicle, aspect)
     scale_vehicle(spec, scale)
     body = spec.body("platform")
-    position, quaternion = (body.pos, body.quat) if platform is None else platform
-    if position is None:
+    if platform is None:
         spec.delete(body)
     else:
-        body.pos, body.quat = position, quaternion
+        body.pos, body.quat = platform
         if has_base:
-            add_prism(spec, position, quaternion)
+            add_prism(spec, *platform)
     for geom in spec.geoms:  # the engine's ray culling knows colliding geoms only
         geom.contype = geom.conaffinity = 1
     return spec.compile()
-
-
-def strip_physics(spec: mujoco.MjSpec) -> None:
-    """Remove actuators, sensors and keyframes, which are not drawn, and the skin, which rays miss."""
-    for element in [*spec.actuators, *spec.sensors, *spec.keys, *spec.skins]:
-        spec.delete(element)
 
 
 def scale_vehicle(spec: mujoco.MjSpec, factor: float) -> None:

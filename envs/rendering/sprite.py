@@ -10,7 +10,7 @@ import numpy as np
 
 from inclined_landing.envs.rendering import scenery
 from inclined_landing.envs.rendering.camera import look_at
-from inclined_landing.envs.rendering.pose import Ghost, Pose, qpos_of_state
+from inclined_landing.envs.rendering.pose import Ghost, Pose, place, qpos_of_state
 from inclined_landing.envs.rendering.ray import RayRenderer
 from inclined_landing.models import threads
 from inclined_landing.models.attitude import STATE_SIZE
@@ -81,8 +81,8 @@ class SpriteRenderer:
         scene, n = renderer._scene, self.pixels
         centre = scenery.scaled_centres(scene.model, state[None], self.scale)[0]
         qpos = qpos_of_state(state)
-        scene.place(qpos)
-        drawn = np.concatenate([scene.parts, scene.discs])
+        place(scene.model, scene.data, qpos)
+        drawn = scene.drawn
         distance = np.linalg.norm(scene.data.geom_xpos[drawn] - centre, axis=1)
         half = 1.02 * float((distance + scene.model.geom_rbound[drawn]).max())
         aside = np.array([2.0, 0.0, 0.0] if self.across else [0.0, -2.0, 0.0])

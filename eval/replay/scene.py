@@ -30,8 +30,8 @@ def scene(vehicle: Vehicle, inclination: float | None, azimuth: float = 0.0) -> 
     foot tips in the body's frame; `feet`: their spheres; `scale`: magnification of the drawn vehicle.
     """
     pose = as_pose(np.array([0, 0, 0, 1, 0, 0, 0]), vehicle, inclination, azimuth)
-    platform = (None, None) if inclination is None else (pose.platform_pos, pose.platform_quat)
-    model = scenery.rendering_model(vehicle, platform=platform, scale=1.0)
+    platform = None if inclination is None else (pose.platform_pos, pose.platform_quat)
+    model = scenery.rendering_model(vehicle, platform, scale=1.0)
     data = mujoco.MjData(model)
     mujoco.mj_kinematics(model, data)
     moving = model.body_rootid[model.geom_bodyid] == model.body("crazyflie").id

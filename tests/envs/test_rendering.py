@@ -176,7 +176,7 @@ def test_platform_pose_of_every_source():
 
 
 def test_wrong_arguments_are_sentences():
-    with pytest.raises(UserError, match="16 to 4096 pixels"):
+    with pytest.raises(UserError, match="width must be a whole number from 16 to 4096, not 4"):
         make_renderer(4, 4, backend="ray")
     with pytest.raises(UserError, match=r"qpos \(7,\) or a state \(13,\), not \(5,\)"):
         make_renderer(W, H, backend="ray").render(np.zeros(5))
