@@ -23,6 +23,7 @@ from inclined_landing.models.plants import Plant
 
 _TRIES = 1000
 _START = ("state", "inclination", "present", "goal_size")  # the fields of a start that are recorded
+_EPISODE = ("length", "total", "contact_steps", "touched", "held_steps")  # 0 at its start
 
 
 def as_floats(value, what: str) -> np.ndarray:
@@ -40,17 +41,15 @@ def as_floats(value, what: str) -> np.ndarray:
     raise UserError(f"{what} must be an array of real numbers{remedy}")
 
 
-def reset_option(options, name: str, known: tuple[str, ...]):
-    """Return the entry `name` of the options of `reset`, or None; raise UserError for unknown ones."""
+def reset_state(options):
+    """Return the start state in the options of `reset`, or None; raise UserError for other options."""
     options = {} if options is None else options
     if not isinstance(options, dict):
         raise UserError(f"the options of reset must be a dictionary, not {shown(repr(options), 40)}")
     for key in options:
-        if key not in known:
-            raise UserError(
-                f"unknown option {shown(repr(key), 40)} of reset; choose from {' and '.join(known)}"
-            )
-    return options.get(name)
+        if key != "state":
+            raise UserError(f"unknown option {shown(repr(key), 40)} of reset; choose from state")
+    return options.get("state")
 
 
 def check_seed(seed) -> None:
@@ -157,10 +156,9 @@ class BatchEnv:
             array[:] = records[name]
 
     def _records(self) -> dict[str, np.ndarray]:
-        names = ("length", "total", "contact_steps", "touched", "held_steps")
         start = {name: getattr(self._start, name) for name in _START}
         past = {"past": self.past.steps} if self.task.history else {}
-        return {name: getattr(self, name) for name in names} | start | past
+        return {name: getattr(self, name) for name in _EPISODE} | start | past
 
     def observe(self, ids=slice(None)) -> np.ndarray:
         """Return observations (k, o) of the vehicles `ids` as measured now, with their history."""
@@ -219,11 +217,8 @@ class BatchEnv:
     def _begin(self, ids: np.ndarray, start: Start) -> np.ndarray:
         for name in _START:
             getattr(self._start, name)[ids] = getattr(start, name)
-        self.length[ids] = 0
-        self.total[ids] = 0.0
-        self.contact_steps[ids] = 0
-        self.touched[ids] = False
-        self.held_steps[ids] = 0
+        for name in _EPISODE:
+            getattr(self, name)[ids] = 0
         observation = self._present(self.plant.measurement, ids)
         self.past.reset(ids, observation)
         return self._with_past(observation, ids)

@@ -40,7 +40,7 @@ import numpy as np
 from gymnasium.vector import AutoresetMode, VectorEnv
 from gymnasium.vector.utils import batch_space
 
-from inclined_landing.envs.batch import as_floats, check_seed, reset_option
+from inclined_landing.envs.batch import as_floats, check_seed, reset_state
 from inclined_landing.envs.make import make_batch
 from inclined_landing.envs.spaces import action_space, observation_space
 from inclined_landing.envs.tasks import TASKS, Task, manual
@@ -88,7 +88,7 @@ class TaskEnv(gym.Env):
 
     def reset(self, *, seed: int | None = None, options: dict | None = None):
         """Return (observation, info) of a new episode, at random or from `options["state"]`."""
-        state = reset_option(options, "state", ("state",))
+        state = reset_state(options)
         check_seed(seed)
         super().reset(seed=None if seed is None else int(seed))
         self.batch.draw_from(self.np_random)
@@ -180,7 +180,7 @@ class TaskVectorEnv(VectorEnv):
 
     def reset(self, *, seed: int | None = None, options: dict | None = None):
         """Return (observations, info) of new episodes, at random or from `options["state"]`."""
-        state = reset_option(options, "state", ("state",))
+        state = reset_state(options)
         check_seed(seed)
         super().reset(seed=None if seed is None else int(seed))
         if seed is not None:

@@ -1,4 +1,4 @@
-"""Code of the user, named as `module:NAME` or `file.py:NAME`.
+"""Code of the user, a task named as `module:Class` or `file.py:Class`.
 
 Code is imported, and so executed, only if the user names it, never because a policy file or a run folder
 does.
@@ -12,7 +12,7 @@ import sys
 import traceback
 from pathlib import Path
 from types import ModuleType
-from typing import TypeGuard
+from typing import Any
 
 from inclined_landing.models.base import storage
 from inclined_landing.models.base.errors import UserError, shown
@@ -20,29 +20,23 @@ from inclined_landing.models.base.errors import UserError, shown
 _FILES: dict[str, str] = {}  # names of imported objects as users gave them, by file
 
 
-def would_import(text: object) -> TypeGuard[str]:
-    """Return whether a task of this name would be imported: `module:NAME` or `file.py:NAME`."""
-    source, _, name = text.rpartition(":") if isinstance(text, str) else ("", "", "")
-    return bool(source) and name.isidentifier()
+def import_named(path: str) -> Any:
+    """Import and return the object named by `module:Class` or `file.py:Class`; None if the module lacks it.
 
-
-def import_named(path: str, what: str, kind: str):
-    """Import and return the object named by `module:NAME` or `file.py:NAME`; None if the module lacks it.
-
-    what, kind: what messages call it, and its NAME. Raises UserError if the code cannot be imported.
+    Raises UserError if the code cannot be imported.
     """
-    if not would_import(path):
-        raise UserError(f"write a custom {what} as module:{kind} or file.py:{kind}, not {shown(path, 60)}")
-    source, _, name = path.rpartition(":")
+    source, _, name = path.rpartition(":") if isinstance(path, str) else ("", "", "")
+    if not (source and name.isidentifier()):
+        raise UserError(f"write a custom task as module:Class or file.py:Class, not {shown(path, 60)}")
     if source.endswith(".py"):
-        storage.read_bytes(source, f"{what} file")  # no pipe, which has no end
+        storage.read_bytes(source, "task file")  # no pipe, which has no end
     try:
         module = _from_file(Path(source)) if source.endswith(".py") else _from_module(source)
     except (Exception, SystemExit) as error:  # whatever the code does
         said = f"{type(error).__name__}: {shown(error, 120)}"
-        raise UserError(f"{what} {shown(path, 60)} cannot be imported: {said}") from error
+        raise UserError(f"task {shown(path, 60)} cannot be imported: {said}") from error
     if file := getattr(module, "__file__", None):
-        _FILES[file] = f"{what} {shown(path, 60)}"
+        _FILES[file] = f"task {shown(path, 60)}"
     return getattr(module, name, None)
 
 

@@ -33,7 +33,7 @@ def is_path(name: object) -> TypeGuard[str]:
 def import_class(path: str) -> type[Task]:
     """Return the class that `path` names, imported; raises UserError if it is not a task."""
     what = f"task {shown(path, 60)}"
-    kind = import_named(path, "task", "Class")
+    kind = import_named(path)
     if not (isinstance(kind, type) and issubclass(kind, Task)):
         source, _, name = path.rpartition(":")
         raise UserError(f"{what}: {source} has no class {name} derived from inclined_landing.envs.tasks.Task")

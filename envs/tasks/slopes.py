@@ -99,16 +99,6 @@ class SlopeLanding(InclinedLanding):
         """Return the frozen starts over all slopes."""
         return {"frozen set": over_slopes(self).start}
 
-    @property
-    def goal(self) -> None:
-        """None, because the goal depends on the slope."""
-        return None
-
-    @property
-    def goal_half_widths(self) -> None:
-        """None, because the goal depends on the slope."""
-        return None
-
     def goal_on(self, platform: np.ndarray | None) -> np.ndarray | None:
         """Return the goal as a state (13,) over the slope of a platform (12,), with its heading."""
         if platform is None:

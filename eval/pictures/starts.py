@@ -9,8 +9,7 @@ import numpy as np
 
 from inclined_landing.envs.tasks import Task, hover_states
 from inclined_landing.envs.tasks.frozen import PAPER_STARTS
-from inclined_landing.envs.tasks.platform import in_platform
-from inclined_landing.models.attitude import STATE_NAMES
+from inclined_landing.models.attitude import STATE_NAMES, X, Y, Z
 from inclined_landing.models.base.errors import UserError, shown
 
 Point = tuple[float, ...]  # x, z or x, y, z, m
@@ -69,8 +68,21 @@ def _parsed(text: str, task: Task) -> Point:
             room = f"{name} must be between {low:g} and {high:g} m"
             raise UserError(f"--start {text} lies outside the arena: {room}")
     state = hover_states([point], task.vehicle)
-    inside = task.has_platform and in_platform(state[0, :3], task.inclination, task.azimuth, task.vehicle)
+    inside = task.has_platform and _in_platform(state[0], task)
     if inside or task.start_clearance(task.start(state))[0] <= 0.0:
         written = ",".join(f"{number:g}" for number in point)
         raise UserError(f"--start {written} lies inside the platform")
     return point
+
+
+def _in_platform(state: np.ndarray, task: Task) -> bool:
+    """Return whether a state (13,) is in the slab of a task's platform or in the space under it."""
+    v, cos, sin = task.vehicle, math.cos(task.azimuth), math.sin(task.azimuth)
+    x, y = cos * state[X] + sin * state[Y], cos * state[Y] - sin * state[X]
+    z = state[Z] - v.platform_surface_height
+    sin, cos = math.sin(task.inclination), math.cos(task.inclination)
+    along, height = x * cos - z * sin, x * sin + z * cos  # of the slab's surface
+    thick, half = v.platform_thickness, v.slab_half_length
+    in_slab = abs(along) < half and -thick <= height < 0.0
+    under = abs(x + thick * sin) < half * cos and height < -thick
+    return bool((in_slab or under) and abs(y) < 0.5 * v.platform_depth)

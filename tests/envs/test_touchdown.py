@@ -168,6 +168,21 @@ def test_training_starts_draw_contact_and_closeness():
     assert len(np.unique(plant.save().arrays["contact"][:, 0])) == 500
 
 
+def test_starts_drawn_again_replace_their_contact_too():
+    """As `BatchEnv` does for the larger vehicles of a pool."""
+    task, rng = make_task("touchdown"), np.random.default_rng(0)
+    task.conditions = TouchdownConditions(friction=(0.55, 1.2), restitution=(0.0, 0.5))
+    start, again, rows = task.sample(rng, 4), task.sample(rng, 2), np.array([1, 3])
+    kept = start[[0, 2]]
+    start.put(rows, again)
+    for one, other in ((start[rows], again), (start[[0, 2]], kept)):
+        np.testing.assert_array_equal(one.state, other.state)
+        assert {name: x.tolist() for name, x in one.contact.items()} == {
+            name: x.tolist() for name, x in other.contact.items()
+        }
+    assert set(start.contact) == {"friction", "restitution", "contact_time"}
+
+
 def test_training_starts_around_the_raised_edge():
     task = InclinedTouchdown()
     task.conditions = TouchdownConditions(around_edge=1.0)
