@@ -40,14 +40,14 @@ def report(folder: Path, metrics: dict, vehicle: Path | None, curriculum: Stages
     final = load(folder / "final.zip")
     with ThreadPoolExecutor(1) as pool:  # of the table, whose time is the engine's
         pictures = pool.submit(_draw, folder, final, curriculum)
-        results = run([_study(final, metrics, load)])
+        name, study = _study(final, metrics, load)
+        results = run([study])
         with stages() as tick:
             tick("figures, picture and film")
             files = pictures.result()
     for path in files:
         print(path)
-    command = final.task.evaluated_by.split()[-1]
-    storage.write_json(folder / f"{command}.json", document(command, results))
+    storage.write_json(folder / f"{name}.json", document(name, results))
     metrics["success"] = {"final": results[0].all(results[0].study.views[0].measures[0])}
     storage.write_json(folder / "metrics.json", metrics)  # last: it says that the report is whole
     show(results)
@@ -61,15 +61,15 @@ def _draw(folder: Path, policy: Policy, stages: Stages) -> list[Path]:
     return draw(folder, policy, stages)
 
 
-def _study(final: Policy, metrics: dict, load: Callable[[str | Path], Policy]) -> Study:
-    """Return the study of a trained policy: a touchdown next to the policy that training started from."""
+def _study(final: Policy, metrics: dict, load: Callable[[str | Path], Policy]) -> tuple[str, Study]:
+    """Return name and study of a trained policy; a touchdown is shown next to the policy it started from."""
     task = final.task
     if task.evaluated_by == "success":
         scales = _LANDING_SCALES if task.cut_at_success else (1.0,)
-        return groups.study({"final": final}, plant="hybrid", thrust_scales=scales)
+        return "success", groups.study({"final": final}, plant="hybrid", thrust_scales=scales)
     if task.evaluated_by == "touchdown":
-        return motor_cut.study(final, _origin(task, metrics["config"]["start_from"], load))
-    return moving.study(scenarios(), {final.name: moving.pilot_of(final)})
+        return "touchdown", motor_cut.study(final, _origin(task, metrics["config"]["start_from"], load))
+    return "moving", moving.study(scenarios(), {final.name: moving.pilot_of(final)})
 
 
 def _origin(task: Task, began: str, load: Callable[[str | Path], Policy]) -> Policy:

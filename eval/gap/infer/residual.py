@@ -30,7 +30,7 @@ from inclined_landing.eval.gap.model.reference import (
     Basis,
     ReferenceResidual,
 )
-from inclined_landing.eval.gap.result import Dependence, ResidualAnalysis
+from inclined_landing.eval.gap.result import HORIZON, Dependence, ResidualAnalysis
 from inclined_landing.models.threads import two_at_a_time
 from inclined_landing.models.vehicle import Vehicle
 
@@ -41,7 +41,6 @@ BLOCK = 5.0  # s of flight that share a sign in the permutation test
 COMMAND_LAGS = (0.1, 0.25)  # s
 VELOCITY_LAGS = (0.15, 0.3, 0.5)  # s
 BINS = 8
-HORIZON = 1.0  # s, over which a function displaces the vehicle
 EXPECTED_SIZE = {"m/s2": 0.01, "rad/s2": 0.3}  # least prior standard deviation of a function
 
 

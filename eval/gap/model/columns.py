@@ -20,6 +20,7 @@ from msgspec import Struct
 
 from inclined_landing.eval.gap.flights.windows import MeasuredFlight
 from inclined_landing.eval.gap.model.fitting import Variation, fitting
+from inclined_landing.eval.gap.model.prediction import CHANNEL_GROUPS
 from inclined_landing.models.attitude import LAG, STATE_SIZE
 from inclined_landing.models.effects import Effect, Parameter
 from inclined_landing.models.effects.effect import OFF
@@ -49,7 +50,6 @@ BASE_DEVIATIONS = {
     **{f"yaw {what}": 0.07 for what in ("turn", "time")},
 }
 ALONE = 0.05  # share of these that is free where no flights of a reference have shown them
-_CHANNELS = {"translation": slice(0, 3), "attitude": slice(3, 5), "yaw": slice(5, 6)}
 
 
 class ParameterColumn(Struct, frozen=True, tag="parameter"):
@@ -283,7 +283,7 @@ def slab_covariance(candidates: Candidates, columns: Sequence[Column]) -> np.nda
 
 def _form_column(name: str, contribution: np.ndarray, flight: MeasuredFlight) -> np.ndarray:
     group, what = name.split()
-    own = _CHANNELS.get(group, slice(0))
+    own = CHANNEL_GROUPS[group]
     result, part = np.zeros_like(contribution), contribution[:, own]
     if what == "late":
         result[:, own] = -LATE * np.gradient(part, flight.dt, axis=0)

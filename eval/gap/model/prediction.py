@@ -45,6 +45,13 @@ UNITS_OF = {
     **dict.fromkeys(REQUEST_CHANNELS, "1"),
 }
 ROLL_CHANNEL, YAW_CHANNEL = 3, 5
+# Channels of effects -> channels of a flight.
+CHANNEL_GROUPS = {
+    "translation": slice(0, 3),
+    "attitude": slice(3, 5),
+    "yaw": slice(5, 6),
+    "requests": slice(6, 9),
+}
 _NEUTRAL = np.array(NEUTRAL)
 # Constants that act in the attitude loops alone, beside those of the table `attitude`.
 _OF_THE_LOOPS = {

@@ -29,7 +29,13 @@ from inclined_landing.eval.gap.model.columns import (
     Values,
 )
 from inclined_landing.eval.gap.model.fitting import Variation, fitting
-from inclined_landing.eval.gap.model.prediction import CHANNELS, predict, predictor, thrust_elasticity
+from inclined_landing.eval.gap.model.prediction import (
+    CHANNEL_GROUPS,
+    CHANNELS,
+    predict,
+    predictor,
+    thrust_elasticity,
+)
 from inclined_landing.eval.gap.model.reference import VehiclePosterior
 from inclined_landing.eval.gap.model.swing import stretches
 from inclined_landing.models.effects import Effect
@@ -39,15 +45,6 @@ from inclined_landing.models.vehicle import Vehicle
 KEPT = 12  # linearisations: some megabytes each where flights are many
 LEAST_GROUPS = 8  # of windows: fewer flights are split into this many in all
 _RIDGE = 1e-9  # on the unit diagonal of a scaled Gram matrix
-
-
-# Channels of effects -> channels of a flight.
-CHANNEL_GROUPS = {
-    "translation": slice(0, 3),
-    "attitude": slice(3, 5),
-    "yaw": slice(5, 6),
-    "requests": slice(6, 9),
-}
 
 
 @dataclasses.dataclass(frozen=True)
