@@ -132,10 +132,9 @@ def record_flights(
         raise UserError(f"a flight must have 1 to {policy.task.max_steps} control steps, not {limit}")
     observation = env.reset(state=states) if start is None else env.reset(start=start)
     n = len(states)
-    state = np.empty((limit + 1, n, states.shape[1]))
-    actions = np.empty((limit + 1, n, len(policy.task.action_names)))
-    commands, reward = np.empty((limit + 1, n, 4)), np.zeros((limit + 1, n))
-    platform = np.empty((limit + 1, n, PLATFORM_SIZE))
+    state, platform = (np.empty((limit + 1, *now.shape)) for now in (plant.state, plant.platform))
+    actions, commands = np.zeros((limit, *env.actions.shape)), np.empty((limit, *env.commands.shape))
+    reward = np.zeros((limit + 1, n))
     state[0], platform[0] = plant.state, plant.platform
     ended = np.zeros(n, int)  # index of the last row; 0 while flying
     success, touched = np.zeros(n, bool), np.zeros(n, bool)
@@ -144,7 +143,7 @@ def record_flights(
     while last < limit and not ended.all():
         flying = ended == 0
         if isinstance(policy, Policy):  # which has no memory, so it need not see those that have ended
-            actions[last], actions[last, flying] = 0.0, policy.predict(observation[flying])
+            actions[last, flying] = policy.predict(observation[flying])
         else:
             actions[last] = policy.predict(observation)
         env.act(actions[last])
@@ -168,22 +167,19 @@ def record_flights(
         now = flying & (step.terminated | step.truncated | lost | (last == limit))
         ended[now] = last
         success[now], touched[now] = step.success[now], env.touched[now]
-    actions[last], commands[last] = actions[last - 1], commands[last - 1]
     flights = []
     for i, end in enumerate(ended):
-        rows = slice(end + 1)
-        a, u = actions[rows, i].copy(), commands[rows, i].copy()
-        a[end], u[end] = a[end - 1], u[end - 1]
+        rows, acting, there = slice(end + 1), np.minimum(np.arange(end + 1), end - 1), plant.present[i]
         flight = Flight(
             task=policy.task,
             t=plant.control_period * np.arange(end + 1),
             state=state[rows, i].copy(),
-            actions=a,
-            commands=u,
+            actions=actions[acting, i],
+            commands=commands[acting, i],
             reward=reward[rows, i].copy(),
-            inclination=float(platform[0, i, PITCH]) if plant.present[i] else None,
-            platform=platform[rows, i].copy() if plant.present[i] else None,
-            motion=plant.motion[[i]] if plant.motion is not None and plant.present[i] else None,
+            inclination=float(platform[0, i, PITCH]) if there else None,
+            platform=platform[rows, i].copy() if there else None,
+            motion=plant.motion[[i]] if plant.motion is not None and there else None,
             success=bool(success[i]),
             touched=bool(touched[i]),
         )

@@ -253,7 +253,6 @@ class _MissionBatch:
         self.target = states[:, X : Z + 1].copy()  # (n, 3) m, of set-point flight
         self.target[:, Z] = plan.hand_over[1]
         self.near = np.zeros(n, int)  # control steps in a row in the hand-over box
-        self.began = np.full((n, len(LEGS)), -1)  # control step in which each leg began; -1: never
         self.last = np.zeros(n, int)  # control step in which the mission ended
         self.touched = np.zeros((n, len(LEGS), len(SURFACES)), bool)
         self.states = [self.plant.state.copy()]
@@ -353,7 +352,7 @@ class _MissionBatch:
         ids = np.flatnonzero(mask & (self.end == FLYING))
         if not len(ids):
             return
-        self.leg[ids], self.began[ids, leg] = leg, self.steps_flown
+        self.leg[ids] = leg
         if leg == APPROACH:
             self.target[ids] = self.plan.point
         self.past.reset(ids, self._setpoint_observation()[ids])
@@ -377,24 +376,22 @@ class _MissionBatch:
             inclination=self.plan.task.inclination,
             plan=self.plan,
             leg=leg[rows],
-            legs=self._legs(k, state),
+            legs=self._legs(k, state, leg[:last]),
             end=ENDS[self.end[k]],
         )
 
-    def _legs(self, k: int, state: np.ndarray) -> tuple[Leg, ...]:
-        """Return the legs that vehicle k flew for at least one step."""
-        period = self.plant.control_period
-        entered = np.flatnonzero(self.began[k] >= 0)
-        ends = [*self.began[k, entered[1:]], self.last[k]]
+    def _legs(self, k: int, state: np.ndarray, flown: np.ndarray) -> tuple[Leg, ...]:
+        """Return the legs of vehicle k from its leg in each control step, `flown` (T - 1,)."""
+        period, begins = self.plant.control_period, np.flatnonzero(np.diff(flown, prepend=FLYING))
+        ends = [*begins[1:], len(flown)]
         return tuple(
             Leg(
-                name=LEGS[leg],
+                name=LEGS[flown[began]],
                 began=float(period * began),
                 duration=float(period * (end - began)),
-                done=leg != entered[-1] or self.end[k] == AT_REST,
+                done=end < len(flown) or self.end[k] == AT_REST,
                 state=state[end].copy(),
-                touched=tuple(name for name, was in zip(SURFACES, self.touched[k, leg]) if was),
+                touched=tuple(name for name, was in zip(SURFACES, self.touched[k, flown[began]]) if was),
             )
-            for leg, began, end in zip(entered, self.began[k, entered], ends)
-            if end > began
+            for began, end in zip(begins, ends)
         )

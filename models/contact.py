@@ -41,7 +41,9 @@ from inclined_landing.models.base.errors import UserError
 from inclined_landing.models.compiled import inner, unlocked
 
 REFERENCE_SPEED = 1.0  # m/s, normal speed of the drop that the setting is about
-MOST_FRICTION = 10.0  # the limit of the vehicle file's range
+FRICTION = (0.0, 10.0)  # the vehicle file's range
+# Reach of the feet over the nominal one: with less they would not stay below the body's collision box.
+FOOT_HEIGHT = (0.6, 3.0)
 RESTITUTION = (0.0, 0.6)  # supported range; above, tilted touches with friction gain energy
 FASTEST = 6.0  # m/s, normal speed at which a touch is still pushed out at the upper side
 # s; from three steps of 4 ms to six: at pi/2 0.1 m/FASTEST = 26 ms feet sink in by half of the slab's depth.
@@ -55,7 +57,7 @@ _MEASURED = (0.0, 0.10, 0.172, 0.237, 0.357, 0.472, 0.581, 0.688, 0.795, 0.897, 
 _OF_SPRING = (0.0, 0.20, 0.25, 0.30, 0.40, 0.50, 0.60, 0.70, 0.80, 0.90, 0.95)
 
 
-def _within(value, low: float, high: float, what: str, unit: str = "") -> np.ndarray:
+def within(value, low: float, high: float, what: str, unit: str = "") -> np.ndarray:
     """Return `value` as an array if all of it is from `low` to `high`, else raise UserError."""
     value = np.asarray(value, float)
     outside = ~((value >= low - 1e-12) & (value <= high + 1e-12))
@@ -63,25 +65,6 @@ def _within(value, low: float, high: float, what: str, unit: str = "") -> np.nda
         wrong = float(value[outside].flat[0])
         raise UserError(f"{what} must be from {low:g} to {high:g}{unit}, not {wrong:g}{unit}")
     return value
-
-
-def check_restitution(restitution) -> np.ndarray:
-    """Return `restitution` as an array if all of it is in the supported range, else raise UserError."""
-    return _within(restitution, *RESTITUTION, "restitution")
-
-
-def check_friction(friction) -> np.ndarray:
-    """Return the friction coefficient as an array if it is from 0 to MOST_FRICTION, else UserError."""
-    return _within(friction, 0.0, MOST_FRICTION, "friction")
-
-
-def check_foot_height(height, nominal: float) -> np.ndarray:
-    """Return the reach of the feet below the centre of mass [m] as an array, or raise UserError.
-
-    At least 60 % of the nominal reach, so that the feet stay below the body's collision box, and at most
-    three times it.
-    """
-    return _within(height, 0.6 * nominal, 3.0 * nominal, "foot height", " m")
 
 
 def solref(restitution, contact_time, gravity: float) -> np.ndarray:
@@ -94,9 +77,8 @@ def solref(restitution, contact_time, gravity: float) -> np.ndarray:
 
     Raises UserError outside the supported ranges.
     """
-    return spring(
-        check_restitution(restitution), _within(contact_time, *CONTACT_TIME, "contact time", " s"), gravity
-    )
+    restitution = within(restitution, *RESTITUTION, "restitution")
+    return spring(restitution, within(contact_time, *CONTACT_TIME, "contact time", " s"), gravity)
 
 
 def spring(restitution, contact_time, gravity: float) -> np.ndarray:

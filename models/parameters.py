@@ -11,18 +11,17 @@ import dataclasses
 import functools
 import itertools
 import json
-import math
 from collections.abc import Mapping
 from importlib import resources
-from numbers import Real
 from pathlib import Path
 from typing import Annotated, Any
 
+import numpy as np
 from msgspec import Meta
 
 from inclined_landing.models import plausible
 from inclined_landing.models.base import schema, storage
-from inclined_landing.models.base.errors import UserError, shown
+from inclined_landing.models.base.errors import UserError, first_of, shown
 from inclined_landing.models.vehicle import Vehicle
 
 # Tables and entries that a vehicle file may leave out, whole or in part: the shipped entries are taken.
@@ -100,15 +99,15 @@ def constants(path: str | Path | None = None) -> list[Constant]:
     }
     known = {c.label for c in shipped.values()}
     if unknown := [label for label in found if label not in known]:
-        raise UserError(f"{what} has unknown entries: {_first(unknown)}")
+        raise UserError(f"{what} has unknown entries: {first_of(unknown)}")
     missing = [c for c in shipped.values() if c.label not in found and not {c.section, c.label} & _LATER]
     if missing and based_on is None:
         raise UserError(
-            f"{what} lacks entries: {_first([c.label for c in missing])}; a file that contains only "
+            f"{what} lacks entries: {first_of([c.label for c in missing])}; a file that contains only "
             f'differences begins with {_BASED_ON} = "{_BASE}"'
         )
     return [
-        _constant(found[like.label], like, f"{what}: {like.label}") if like.label in found else like
+        _constant(found[like.label], like, f"{what}: ") if like.label in found else like
         for like in (constants(based_on) if based_on else shipped.values())
     ]
 
@@ -127,45 +126,37 @@ def _shipped() -> dict[str, Constant]:
     return result
 
 
-def _constant(entry: Entry, like: Constant, what: str) -> Constant:
+def _constant(entry: Entry, like: Constant, where: str) -> Constant:
     """Return one entry of another vehicle file, checked against the shipped one."""
-    value = _checked(entry.value, like, what)
+    value, what = _checked(entry.value, like, where), f"{where}{like.label}"
     if entry.unit != like.unit:
         raise UserError(f"{what} must be in {like.unit!r}, not in {shown(repr(entry.unit), 40)}")
     if entry.range is not None and _tuples(entry.range) not in (like.range, like.range[0]):
         raise UserError(f"{what} must not have a range; the ranges are those of {_SHIPPED}")
     uncertainty = entry.uncertainty
-    if isinstance(uncertainty, tuple) and _shape(uncertainty) != _shape(value):
-        raise UserError(f"{what}: its uncertainty must be a string, one number or {_shape(value)}")
+    if isinstance(uncertainty, tuple) and np.shape(uncertainty) != np.shape(value):
+        raise UserError(f"{what}: its uncertainty must be text, one number, or one for each of its values")
     return Constant(like.section, like.name, value, like.range, like.unit, entry.source, uncertainty)
 
 
-def _checked(value: object, like: Constant, what: str) -> float | tuple[float, ...]:
-    """Return the value of an entry as numbers within their range."""
-    if _shape(value) != _shape(like.value):
-        raise UserError(f"{what} must be {_shape(like.value)}, not {_shape(value)}")
-    numbers = _numbers(value)
-    if numbers is None:
-        raise UserError(f"{what} is not a finite number: {shown(repr(value), 40)}")
+def _checked(value: Any, like: Constant, where: str = "") -> float | tuple[float, ...]:
+    """Return the value of an entry as numbers within their range; where: the beginning of a message."""
+    several = isinstance(like.value, tuple)
+    kind = tuple[(schema.Real,) * len(like.range)] if several else schema.Real  # type: ignore[misc]
+    try:
+        schema.check({like.label: value}, {like.label: kind})
+    except UserError as error:
+        raise UserError(f"{where}{error}") from error
+    numbers = tuple(map(float, value if several else (value,)))
     units = like.unit.split(", ")
     for k, (number, (low, high)) in enumerate(zip(numbers, like.range)):
         if not low <= number <= high:
             unit = units[k % len(units)]
             unit = "" if unit == "1" else f" {unit}"
-            raise UserError(f"{what} is {number:g}{unit}; it must be from {low:g} to {high:g}{unit}")
-    return numbers if isinstance(value, (list, tuple)) else numbers[0]
-
-
-def _numbers(value: object) -> tuple[float, ...] | None:
-    """Return a number, or a list of them, as finite floats; None for anything else."""
-    numbers = value if isinstance(value, (list, tuple)) else (value,)
-    if any(isinstance(x, bool) or not isinstance(x, Real) for x in numbers):
-        return None
-    try:
-        numbers = tuple(map(float, numbers))
-    except OverflowError:  # an integer of hundreds of digits
-        return None
-    return numbers if all(map(math.isfinite, numbers)) else None
+            raise UserError(
+                f"{where}{like.label} is {number:g}{unit}; it must be from {low:g} to {high:g}{unit}"
+            )
+    return numbers if several else numbers[0]
 
 
 def load_vehicle(path: str | Path | None = None) -> Vehicle:
@@ -207,10 +198,13 @@ def check_vehicle(vehicle: Vehicle) -> None:
     if not isinstance(vehicle, Vehicle):
         raise UserError(f"expected a Vehicle, not {shown(repr(vehicle), 40)}")
     for field, constant in _shipped().items():
-        value, (low, high) = getattr(vehicle, field), constant.range[0]
-        # Most are single numbers within their range, and the check of the others takes ten times as long.
-        if not (type(value) is type(constant.value) is float and low <= value <= high):
-            _checked(value, constant, constant.label)
+        value = getattr(vehicle, field)
+        numbers = value if isinstance(value, tuple) else (value,)
+        # Nearly all are floats within their ranges, and the check of the others takes ten times as long.
+        within = (type(x) is float and low <= x <= high for x, (low, high) in zip(numbers, constant.range))
+        alike = type(value) is type(constant.value) and len(numbers) == len(constant.range)
+        if not (alike and all(within)):
+            _checked(value, constant)
     for sentence in plausible.contradictions(vehicle):
         raise UserError(sentence)
 
@@ -262,15 +256,5 @@ def _toml(value: Any) -> str:
     return repr(float(value))
 
 
-def _shape(value: object) -> str:
-    return f"a list of {len(value)}" if isinstance(value, (tuple, list)) else "one number"
-
-
 def _tuples(value: Any) -> Any:
     return tuple(map(_tuples, value)) if isinstance(value, list) else value
-
-
-def _first(names: list[str]) -> str:
-    """Return names for a message: the first three and the number of others."""
-    more = f" and {len(names) - 3} more" if len(names) > 3 else ""
-    return ", ".join(shown(name, 60) for name in names[:3]) + more

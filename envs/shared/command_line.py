@@ -25,7 +25,7 @@ import textwrap
 import threading
 import time
 from collections.abc import Callable, Container, Iterator, Mapping, Sequence
-from typing import Any, Literal, TextIO, get_args, get_origin
+from typing import Any, Literal, get_args, get_origin
 
 from inclined_landing.models.base import imports
 from inclined_landing.models.base.errors import UserError, not_installed, shown
@@ -229,9 +229,7 @@ def bound(command: Callable) -> Callable:
         kinds = schema.kinds_of(command)
         try:
             schema.check(given.arguments, kinds, flag_of)
-        except (
-            UserError
-        ) as error:  # an option of several values is called without the number of the wrong one
+        except UserError as error:  # called without the number of the wrong one of several values
             flag, must, rest = str(error).partition(" must be ")
             raise UserError(f"{flag.partition('[')[0]}{must}{rest}") from None
         given.apply_defaults()
@@ -381,13 +379,10 @@ def _streams() -> Iterator[None]:
         if isinstance(sys.stdout, io.TextIOWrapper):
             sys.stdout.reconfigure(errors="backslashreplace")  # file names that are no UTF-8
         if sys.stderr is sys.__stderr__:  # unless a test or a notebook has replaced it
-            changed.enter_context(contextlib.redirect_stderr(_lossy(2)))
+            stream = io.BufferedWriter(_Lossy(2, "w", closefd=False))
+            lossy = io.TextIOWrapper(stream, errors="backslashreplace", line_buffering=True)
+            changed.enter_context(contextlib.redirect_stderr(lossy))
         yield
-
-
-def _lossy(handle: int) -> TextIO:
-    stream = io.BufferedWriter(_Lossy(handle, "w", closefd=False))
-    return io.TextIOWrapper(stream, errors="backslashreplace", line_buffering=True)
 
 
 def _drop_output() -> None:

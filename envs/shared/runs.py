@@ -10,6 +10,7 @@ import subprocess
 import time
 from collections.abc import Iterator
 from pathlib import Path
+from typing import Any
 
 from inclined_landing.models.base import storage
 from inclined_landing.models.base.errors import UserError
@@ -143,25 +144,13 @@ def git_revision() -> str | None:
     """Return the commit of the sources, with `+changes` when files differ; None outside a clone."""
     from inclined_landing import models
 
-    for folder in map(Path, models.__path__):
-        root = folder.resolve().parent
-        if not ((root / ".git").exists() and (root / "pyproject.toml").exists()):
-            continue
-        commit = _git(root, "rev-parse", "HEAD")
-        if commit:
-            changed = _git(root, "status", "--porcelain", "--untracked-files=no")
-            return commit + ("+changes" if changed else "")
+    describe = ("git", "describe", "--always", "--abbrev=40", "--exclude=*", "--dirty=+changes")
+    asked: dict[str, Any] = {"capture_output": True, "text": True, "timeout": 10, "check": True}
+    for root in (Path(folder).resolve().parent for folder in models.__path__):
+        if (root / ".git").exists() and (root / "pyproject.toml").exists():
+            with contextlib.suppress(OSError, subprocess.SubprocessError):
+                return subprocess.run(describe, cwd=root, **asked).stdout.strip()
     return None
-
-
-def _git(root: Path, *arguments: str) -> str:
-    try:
-        done = subprocess.run(
-            ["git", "-C", str(root), *arguments], capture_output=True, text=True, timeout=10
-        )
-    except (OSError, subprocess.SubprocessError):
-        return ""
-    return done.stdout.strip() if done.returncode == 0 else ""
 
 
 def cpu_name() -> str:

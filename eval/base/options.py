@@ -24,6 +24,7 @@ from inclined_landing.envs.shared.options import (  # noqa: F401
     only_without,
 )
 from inclined_landing.models.base.errors import UserError, shown
+from inclined_landing.models.base.schema import Pixels
 
 if TYPE_CHECKING:
     from inclined_landing.envs.policy import Policy
@@ -31,7 +32,6 @@ if TYPE_CHECKING:
 
 T = TypeVar("T")
 Flat = Annotated[T, tyro.conf.OmitArgPrefixes]
-Pixels = Annotated[int, Meta(ge=16, le=4096)]
 PolicyFile = Annotated[str, tyro.conf.Positional, tyro.conf.arg(metavar="POLICY")]
 PolicyName = Annotated[str, tyro.conf.arg(metavar="POLICY")]
 PlantName = Annotated[str, tyro.conf.arg(metavar="{mujoco,hybrid,analytic}")]

@@ -27,6 +27,7 @@ from inclined_landing.models.base.errors import UserError, choices, shown
 Real = Annotated[float, Meta(ge=-1e300, le=1e300)]  # any number that is finite
 Many = Annotated[int, Meta(ge=1, le=10**9)]
 Share = Annotated[float, Meta(ge=0, le=1)]
+Pixels = Annotated[int, Meta(ge=16, le=4096)]  # a side of a picture
 T = TypeVar("T")
 
 
@@ -144,11 +145,7 @@ def _alternatives(kind: Any) -> tuple[Any, ...]:
 
 def _members(kind: Any) -> tuple[Any, ...]:
     """Return the types of a union, or the only one, without their limits."""
-    if get_origin(kind) is Annotated:
-        return _members(get_args(kind)[0])
-    if get_origin(kind) in (Union, UnionType):
-        return tuple(member for one in get_args(kind) for member in _members(one))
-    return (kind,)
+    return tuple(get_args(one)[0] if get_origin(one) is Annotated else one for one in _alternatives(kind))
 
 
 def expected(kind: Any) -> str:

@@ -209,7 +209,7 @@ class MujocoPlant(Plant):
         """
         rows = self._contact[ids].copy()
         if friction is not None:
-            rows[..., 0] = contact.check_friction(friction)
+            rows[..., 0] = contact.within(friction, *contact.FRICTION, "friction")
         if (restitution is None) != (contact_time is None):
             raise UserError("give both restitution and contact time, or neither")
         if restitution is not None:
@@ -219,7 +219,8 @@ class MujocoPlant(Plant):
         if solref is not None:
             rows[..., 1:3] = check_solref(solref)
         if foot_height is not None:
-            rows[..., 3] = contact.check_foot_height(foot_height, self.foot_height)
+            low, high = (share * self.foot_height for share in contact.FOOT_HEIGHT)
+            rows[..., 3] = contact.within(foot_height, low, high, "foot height", " m")
         self._contact[ids] = rows
         self._apply_contact()
 

@@ -126,7 +126,7 @@ WRONG_OPTIONS = [
     (InclinedLandingEnv, {"plant_options": ["RK4"]}, "plant_options must be a dictionary"),
     (InclinedLandingVectorEnv, {"n": 3, "name": "x"}, "the task landing has no option 'n'"),
     (InclinedLandingEnv, {"dimensions": np.zeros(3)}, "dimensions must be 2 or 3, not array"),
-    (InclinedLandingEnv, PICTURE | {"width": 1e9}, "must be 16 to 4096 pixels"),
+    (InclinedLandingEnv, PICTURE | {"width": 1e9}, "width must be a whole number from 16 to 4096"),
     (InclinedLandingVectorEnv, {"num_envs": 0}, "num_envs must be an integer from 1 to 100000, not 0"),
 ]
 

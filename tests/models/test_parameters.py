@@ -60,9 +60,9 @@ WRONG = {  # what stands in the file, what instead, part of the sentence
     "few": (
         "[0.04076521, 380.8359]",
         "[0.04076521]",
-        r"motor\.pwm_to_speed must be a list of 2, not a list of 1",
+        r"motor\.pwm_to_speed must be a list of 2, each a number",
     ),
-    "many": ("value = 0.03303", "value = [0.03]", r"body\.mass must be one number, not a list of 1"),
+    "many": ("value = 0.03303", "value = [0.03]", r"body\.mass must be a number, not"),
     "NaN": ("value = 0.03303", "value = nan", r"\[body\.mass\] value must be a number"),
     "text": ("value = 0.03303", 'value = "heavy"', r"\[body\.mass\] value must be a"),
     "no unit": ('unit = "kg", ', "", r"\[body\.mass\] lacks unit"),

@@ -288,12 +288,12 @@ def number(**changed) -> Number:
     return Number(**{"title": "n", "file": "m.json", "path": "n", "unit": "%"} | changed)
 
 
-def summed(*values, kind="number", **changed):
-    return sum_up("", "n", number(**changed), [(kind, value) for value in values])
+def summed(*values, **changed):
+    return sum_up("", "n", number(**changed), list(values))
 
 
 def test_flights_of_all_seeds_are_one_share_with_wilsons_interval():
-    found = summed((9, 10), (30, 30), (5, 10), kind="flights", factor=100.0)
+    found = summed((9, 10), (30, 30), (5, 10), factor=100.0)
     interval = binomtest(44, 50).proportion_ci(method="wilson")
     assert found.values == (90.0, 100.0, 50.0) and found.median == 90.0 and found.mean == pytest.approx(88.0)
     assert found.interval == pytest.approx((100 * interval.low, 100 * interval.high))
@@ -301,7 +301,7 @@ def test_flights_of_all_seeds_are_one_share_with_wilsons_interval():
 
 
 def test_true_and_false_are_a_share_of_the_seeds():
-    found = summed(True, False, True, kind="share")
+    found = summed(True, False, True)
     interval = binomtest(2, 3).proportion_ci(method="wilson")
     assert found.mean == pytest.approx(2 / 3) and found.range_words(number()) == "0.667 %"
     assert found.interval == pytest.approx((interval.low, interval.high))
@@ -322,7 +322,7 @@ def test_a_seed_that_never_got_there_counts_as_larger_than_all():
     assert found.range_words(number(unit="steps")) == "7 (5 to 7) steps, never in 1 of 3"
     assert summed(None, None).range_words(number()) == "–, never in 2 of 2"
     with pytest.raises(UserError, match="number in one run and share in another"):
-        sum_up("", "n", number(), [("number", 1), ("share", True)])
+        summed(1, True)
 
 
 def test_numbers_are_taken_from_where_they_stand(tmp_path):
@@ -332,8 +332,8 @@ def test_numbers_are_taken_from_where_they_stand(tmp_path):
     def of(path):
         return take("n", number(path=path), tmp_path)
 
-    assert (of("n"), of("t")) == (("number", 3), ("share", True))
-    assert of("l.1") == ("number", 2.5) and of("no") == of("no.steps") == ("number", None)
+    assert of("n") == 3 and of("t") is True
+    assert of("l.1") == 2.5 and of("no") is of("no.steps") is None
     for path in ("x", "l.2", "l.y", "n.x", "w"):
         with pytest.raises(UserError, match="number n"):
             of(path)

@@ -23,7 +23,8 @@ from inclined_landing.models.base.errors import UserError, shown
 from inclined_landing.models.base.schema import Table
 from inclined_landing.train.sweep.recipe import Number, Recipe, filled
 
-Kind = Literal["number", "share", "flights"]  # the kind of a value: see above
+Kind = Literal["number", "share", "flights"]  # of a value: see above
+_KINDS: dict[type, Kind] = {int: "number", float: "number", bool: "share", tuple: "flights"}
 
 
 class Measured(Table, frozen=True, kw_only=True):
@@ -95,8 +96,11 @@ class Result(Table, frozen=True, kw_only=True):
 HEADS = ("variant", "number", "median (range)", "mean [95 %]", "each at least")
 
 
-def take(name: str, number: Number, folder: Path) -> tuple[Kind, Any]:
-    """Return kind and raw value of a number of one run; raises UserError if its file does not contain it."""
+def take(name: str, number: Number, folder: Path) -> float | bool | tuple[int, int] | None:
+    """Return the raw value of a number of one run, of a share of flights their count and the number of all.
+
+    Raises UserError if its file does not contain it.
+    """
     path = folder / number.file
     value = storage.read_json(path, f"number {name}: file")
     if number.row:
@@ -108,31 +112,27 @@ def take(name: str, number: Number, folder: Path) -> tuple[Kind, Any]:
             value = value[int(key) if isinstance(value, list) else key]
         except (KeyError, IndexError, TypeError, ValueError) as error:
             raise UserError(f"number {name}: {path} has no {shown(number.path, 80)}") from error
-    if isinstance(value, bool):
-        return "share", value
     if value is None or (isinstance(value, (int, float)) and math.isfinite(value)):
-        return "number", value
+        return value
     raise UserError(f"number {name}: {path} has {shown(repr(value), 60)} there, which is not a number")
 
 
-def _value_of_row(name: str, number: Number, path: Path, report: Any) -> tuple[Kind, Any]:
-    """Return kind and value of the first row of a study's report with the entries of `number.row`."""
+def _value_of_row(name: str, number: Number, path: Path, report: Any) -> Any:
+    """Return the value of the first row of a study's report with the entries of `number.row`."""
     rows = report.get("rows", ()) if isinstance(report, dict) else ()
     for row in rows:
         if all(row.get(key) == value for key, value in number.row.items()):
-            is_share = row["statistic"] == "share"
-            return ("flights", (row["count"], row["flights"])) if is_share else ("number", row[number.entry])
+            return (row["count"], row["flights"]) if row["statistic"] == "share" else row[number.entry]
     raise UserError(f"number {name}: {path} has no row with {shown(number.row, 120)}")
 
 
-def sum_up(variant: str, name: str, number: Number, taken: list[tuple[Kind, Any]]) -> Measured:
+def sum_up(variant: str, name: str, number: Number, values: list) -> Measured:
     """Return a number over the seeds from what `take` returned; raises UserError if kinds differ."""
-    kinds: set[Kind] = {kind for kind, value in taken if value is not None} or {"number"}
+    there = [value for value in values if value is not None]
+    kinds = {_KINDS[type(value)] for value in there} or {"number"}
     if len(kinds) > 1:
         raise UserError(f"number {name} is {' in one run and '.join(sorted(kinds))} in another")
     (kind,) = kinds
-    values = [value for _, value in taken]
-    there = [value for value in values if value is not None]
     if kind == "flights":
         found = proportion(sum(count for count, _ in there), sum(of for _, of in there))
         values = [None if value is None else value[0] / value[1] for value in values]
