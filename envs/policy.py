@@ -167,17 +167,16 @@ def load_policy(
     vehicle = None if vehicle is None else as_vehicle(vehicle)
     path = locate(path)
     metadata, network = read_policy(path)
-    wanted = task if task is None or isinstance(task, str) else task.name
+    wanted, trained = task.name if isinstance(task, Task) else task, metadata.get("task")
     if isinstance(task, str):
         task_class(task)  # is there one of this name
-    trained = metadata.get("task")
     if wanted and trained and wanted != trained:
         raise UserError(f"policy {path} was trained for the task {trained}, not for {wanted}")
     if not (wanted or trained):
         raise UserError(f"policy {path} does not state its task; name it ({' or '.join(TASKS)})")
-    if trained and task is None and not known(trained):
-        raise _unknown_task(metadata, path)
-    if task is None or isinstance(task, str):
+    if not isinstance(task, Task):
+        if not (wanted or known(trained)):
+            raise _unknown_task(metadata, path)
         slope = {"inclination": inclination, "azimuth": azimuth}
         task = _build_task(trained or wanted, metadata, vehicle, slope, path)
     elif metadata:
@@ -252,9 +251,7 @@ def _check_training_options(task: Task, metadata: dict, inclination, path) -> No
         trained["inclination"], here["inclination"] = options["inclination"], task.options.get("inclination")
     wrong = [name for name in trained if not _same(trained[name], here[name])]
     if wrong:
-        wanted, found = (
-            ", ".join(f"{name}={shown(_typed(of[name]), 40)}" for name in wrong) for of in (trained, here)
-        )
+        wanted, found = (", ".join(f"{name}={_typed(of[name])}" for name in wrong) for of in (trained, here))
         raise UserError(
             f"policy {path} was trained with {wanted}, and the {task.name} task here has {found}; use "
             "these options, or make_for(POLICY)"
@@ -270,7 +267,7 @@ def _same(one: Any, other: Any) -> bool:
 
 def _typed(value: Any) -> str:
     """Return a value as Python source text."""
-    return f"{value:.15g}" if isinstance(value, float) else repr(value)
+    return shown(f"{value:.15g}" if isinstance(value, float) else repr(value), 40)
 
 
 def _build_task(name, metadata, vehicle, slope, path) -> Task:
