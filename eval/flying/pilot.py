@@ -94,8 +94,6 @@ class Pilot:
         self._period = self.vehicle.command_control_period
         self._voltage, self._locked = math.nan, False
         self._pose_time = -math.inf
-        self._poses: list[MeasuredPose] = []
-        self._attitudes = 0
         self._target: MovingTarget | None = None
         self._began = self._phase_began = 0.0
         self._airborne = False
@@ -111,16 +109,18 @@ class Pilot:
         """Return the preflight checks, from a second of measurements, and set the vehicle's home."""
         end = self.clock.now() + RECORDING_TIME
         self._receive()
-        self._poses, self._attitudes = [], 0
+        poses, attitudes = list[MeasuredPose](), 0
         while self.clock.now() < end:
             self.clock.wait_until(self.clock.now() + self._period / TICKS)
-            self._receive()
+            pose, count = self._receive()
+            poses += [] if pose is None else [pose]
+            attitudes += count
         estimate = self._estimator.predict(self.clock.now())
         status = self._voltage, self._locked
-        measured = (self._source, self._poses, self._attitudes, status, estimate)
+        measured = (self._source, poses, attitudes, status, estimate)
         found = preflight_checks(*measured, self.surroundings, self.plan.stand)
         if all(check.passed for check in found):
-            self.home = np.mean([pose.position for pose in self._poses], axis=0)
+            self.home = np.mean([pose.position for pose in poses], axis=0)
             way = self.surroundings.path_to(self.home, self.plan.start_point)
             self._target = MovingTarget(self.home, way, APPROACH_SPEED)
         return found
@@ -332,7 +332,7 @@ class Pilot:
     def _react(self, cause: Cause, estimate: StateEstimate) -> None:
         """React to a cause: motors off, or retreat."""
         if self.radio.dry:
-            if cause is not self._announced:
+            if cause != self._announced:
                 self._print(f"would react: {cause.name} ({cause.when}): {cause.reaction.value}")
             self._announced = cause
             return
@@ -406,30 +406,31 @@ class Pilot:
 
     # --- what is heard -----------------------------------------------------------------------------
 
-    def _receive(self) -> None:
-        """Read motion capture and radio, and pass new data to estimator and log."""
-        pose = self.mocap.latest()
-        if pose is not None and pose.time > self._pose_time:
+    def _receive(self) -> tuple[MeasuredPose | None, int]:
+        """Pass new data to estimator and log; return the new pose, if any, and the number of attitudes."""
+        pose, attitudes = self.mocap.latest(), 0
+        if pose is not None and pose.time <= self._pose_time:
+            pose = None
+        if pose is not None:
             self._pose_time = pose.time
             near = self.surroundings.is_near(self._estimator.predict(pose.time).state, IMPACT_DISTANCE)
             contact_updates = self._estimator.filter.contact_updates
             self._estimator.add_pose(pose, impact=near)
             if self.phase is Phase.LANDING:
                 self.report.touched |= self._estimator.filter.contact_updates > contact_updates
-            if len(self._poses) < 10_000:
-                self._poses.append(pose)
             if self._log is not None:
                 state = self._estimator.predict(pose.time).state
                 self._log.pose(pose.time, pose.position, self.surroundings.in_contact(state))
         for received in self.radio.received():
             if isinstance(received, Attitude):
-                self._attitudes += 1
+                attitudes += 1
                 self._estimator.add_attitude(received)
                 self._log_attitude(received)
             else:
                 self._voltage, self._locked = received.voltage, received.locked
                 if self._log is not None:
                     self._log.voltage(received.time, received.voltage)
+        return pose, attitudes
 
     def _print_dry_run(self, time: float, estimate: StateEstimate, command: np.ndarray) -> None:
         if time - self._last_print < DRY_RUN_PERIOD:

@@ -152,21 +152,9 @@ CAUSES = (  # in the order in which they are asked
     Cause("approach takes too long", f"the start is not reached after {APPROACH_LIMIT:g} s", _LAND),
     Cause("landing takes too long", "longer than an episode of the task (6 s)", _LAND),
 )
-# The cause that replaces a limit, by its reaction, where only these samples make it seem exceeded.
-LATE = {
-    reaction: Cause(
-        "late",
-        "this computer was late with a control step; otherwise no limit would have been exceeded",
-        reaction,
-    )
-    for reaction in Reaction
-}
-SILENT = {
-    reaction: Cause(
-        "poor link", "another gap in the link as long as the last one would leave no room to stop", reaction
-    )
-    for reaction in Reaction
-}
+# Name and description of a cause that would not be met without the delay of a control step or of the link.
+LATE = ("late", "this computer was late with a control step; otherwise no limit would have been exceeded")
+SILENT = ("poor link", "another gap in the link as long as the last one would leave no room to stop")
 
 
 class SafetyMonitor:
@@ -201,8 +189,8 @@ class SafetyMonitor:
         punctual = dataclasses.replace(now, estimate=dataclasses.replace(e, **ages))
         silence = max(0.0, self._silence - self._late)
         if not dict(self.conditions(punctual, silence))[cause.name]:
-            return LATE[cause.reaction]
-        return cause if dict(self.conditions(now, 0.0))[cause.name] else SILENT[cause.reaction]
+            return Cause(*LATE, cause.reaction)
+        return cause if dict(self.conditions(now, 0.0))[cause.name] else Cause(*SILENT, cause.reaction)
 
     def conditions(self, now: FlightStatus, silence: float) -> Iterator[tuple[str, bool]]:
         """Yield the causes that are checked, in the order of CAUSES, and whether they are met now.

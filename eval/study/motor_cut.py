@@ -35,7 +35,7 @@ from inclined_landing.eval.study import changes
 from inclined_landing.eval.study.engine import Case, Panel, Results, Study, View, fact
 from inclined_landing.eval.study.flights import policy_facts
 from inclined_landing.eval.study.options import FRICTIONS, RESTITUTIONS
-from inclined_landing.eval.study.rest import PolicyPilot, fly_to_rest
+from inclined_landing.eval.study.rest import TOUCH, PolicyPilot, fly_to_rest
 from inclined_landing.models.attitude import LAG
 from inclined_landing.models.base.errors import UserError
 from inclined_landing.models.plants import MujocoPlant
@@ -45,15 +45,8 @@ from inclined_landing.models.vehicle import Vehicle
 SETTLING = 100  # control steps that the motor cut has after the goal box
 CUT, OWN = "cut in goal box", "touchdown policy"
 AT_REST = share_of("at_rest", "at rest", said="came to rest on its feet")
-MEASURES = (
-    AT_REST,
-    median_of(
-        "time", "time", "s", cell=alone, note="speeds at the first touch, peak normal force on the feet"
-    ),
-    median_of("normal_speed", "normal speed", "m/s", cell=alone),
-    median_of("tangential_speed", "tangential speed", "m/s", cell=alone),
-    median_of("peak_normal_force", "peak force", "N", cell=alone),
-)
+_NOTE = "speeds at the first touch, peak normal force on the feet"
+MEASURES = (AT_REST, *TOUCH, median_of("peak_normal_force", "peak force", "N", cell=alone, note=_NOTE))
 
 
 def land(

@@ -21,7 +21,7 @@ from inclined_landing.eval.study.engine import Case, Panel, Results, Study, View
 from inclined_landing.eval.study.flights import named_policies
 from inclined_landing.eval.study.options import BASELINES, PLANNER
 from inclined_landing.eval.study.planner import Planner
-from inclined_landing.eval.study.rest import Pilot, PolicyPilot, fly_to_rest
+from inclined_landing.eval.study.rest import TOUCH, Pilot, PolicyPilot, fly_to_rest
 from inclined_landing.eval.study.scenarios import FLIGHTS, Scenario
 from inclined_landing.models.base.errors import UserError
 from inclined_landing.models.parameters import load_vehicle
@@ -41,14 +41,10 @@ AT_REST = share_of(
     note=f"at rest means on the platform, on the feet alone, with motors at idle, for {HOLD:g} s within "
     f"{WITHIN:g} s, slower than {SPEED:g} m/s relative to it",
 )
+_NOTE = "speeds and tilt at the first touch, relative to the platform"
 MEASURES = (
-    AT_REST,
-    median_of(
-        "time", "time", "s", cell=alone, note="speeds and tilt at the first touch, relative to the platform"
-    ),
-    median_of("normal_speed", "normal speed", "m/s", cell=alone),
-    median_of("tangential_speed", "tangential speed", "m/s", cell=alone),
-    median_of("tilt", "tilt", "rad", cell=alone, shown_unit="deg", factor=math.degrees(1.0)),
+    *(AT_REST, *TOUCH),
+    median_of("tilt", "tilt", "rad", cell=alone, note=_NOTE, shown_unit="deg", factor=math.degrees(1.0)),
     median_of("off_centre", "off centre", "m", cell=alone),
 )
 PARTLY = "Not all flights of the scenarios were flown, so this is not a benchmark result."

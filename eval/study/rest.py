@@ -18,6 +18,7 @@ import pandas as pd
 
 from inclined_landing.envs.history import History
 from inclined_landing.envs.policy import Policy
+from inclined_landing.envs.shared.measures import alone, median_of
 from inclined_landing.envs.tasks import StepContext, touchdown
 from inclined_landing.envs.tasks.landing import GOAL_SIZE
 from inclined_landing.models import surface
@@ -34,6 +35,12 @@ _SLOW = 1 / 15
 _LOOK = 5 * STEP  # s, after which it is asked which vehicles are at rest
 
 
+# Of flights to rest: when it was held, and the speeds of the first touch relative to the platform.
+TOUCH = (
+    median_of("time", "time", "s", cell=alone),
+    median_of("normal_speed", "normal speed", "m/s", cell=alone),
+    median_of("tangential_speed", "tangential speed", "m/s", cell=alone),
+)
 P = TypeVar("P", bound=Plant)
 
 

@@ -102,8 +102,8 @@ def test_every_cause_of_the_module_is_in_the_table_and_the_page():
         if "| motors off |" in line or "| lands next to the platform |" in line
     ]
     assert [row.rpartition("|")[0].rpartition("|")[0] + "|" for row in rows] == found
-    for causes in (safety.LATE, safety.SILENT):
-        assert all(f"**{cause.name}**: {cause.when}" in page for cause in causes.values())
+    for name, when in (safety.LATE, safety.SILENT):
+        assert f"**{name}**: {when}" in page
 
 
 @pytest.mark.parametrize("speed", [0.5, 1.0, 2.0, 3.0])
