@@ -7,7 +7,6 @@ import io
 import sys
 import time
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 
@@ -17,7 +16,7 @@ from inclined_landing.eval.replay import command as replay
 
 POLICY = "landing"
 STARTS = 50  # random ones
-LOOK: dict[str, Any] = {"width": 640, "height": 360}
+LOOK = Look(width=640, height=360)
 
 _NEXT = """\
 What to do next:
@@ -67,9 +66,8 @@ def command(out: RunFolder = Path("landing-demo"), seed: Seed = 0) -> None:
     points = tuple(",".join(f"{axis:g}" for axis in point) for point in PAPER_STARTS)
     with runs.staged_run(out) as folder:
         with contextlib.redirect_stdout(io.StringIO()), contextlib.redirect_stderr(io.StringIO()):
-            look = Look(**LOOK)
-            video.command(POLICY, out=folder / "landing.mp4", start=points, look=look, gif=True)
-            picture.command(POLICY, out=folder / "landing.png", start=points[0], look=look)
+            video.command(POLICY, out=folder / "landing.mp4", start=points, look=LOOK, gif=True)
+            picture.command(POLICY, out=folder / "landing.png", start=points[0], look=LOOK)
             replay.command((POLICY,), out=folder / "landing.html", start=points)
         names = sorted(path.name for path in folder.iterdir())
     seconds = time.monotonic() - began

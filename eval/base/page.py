@@ -16,8 +16,8 @@ if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
 
-def render(package: str, template: str, **content) -> str:
-    """Return a package's rendered template; it may extend or import templates of this package."""
+def environment(package: str, **options) -> jinja2.Environment:
+    """Return the environment of a package's templates, which may extend or import those of this package."""
 
     def source(name: str) -> str | None:
         for owner in (package, __package__):
@@ -26,16 +26,21 @@ def render(package: str, template: str, **content) -> str:
                 return file.read_text("utf-8")
         return None
 
-    environment = jinja2.Environment(
+    return jinja2.Environment(
         loader=jinja2.FunctionLoader(source),
-        autoescape=True,
         trim_blocks=True,
         lstrip_blocks=True,
         undefined=jinja2.StrictUndefined,
+        **options,
     )
-    environment.filters["number"] = number
-    environment.globals["parts"] = environment.get_template("parts.html.j2").module
-    return environment.get_template(template).render(content)
+
+
+def render(package: str, template: str, **content) -> str:
+    """Return a package's rendered HTML template."""
+    html = environment(package, autoescape=True)
+    html.filters["number"] = number
+    html.globals["parts"] = html.get_template("parts.html.j2").module
+    return html.get_template(template).render(content)
 
 
 def of_sections(

@@ -4,8 +4,7 @@ from __future__ import annotations
 
 import re
 
-import jinja2
-
+from inclined_landing.eval.base.page import environment
 from inclined_landing.models.base.errors import shown
 
 LONGEST = 2000  # characters of a value
@@ -16,15 +15,9 @@ _SPECIAL = re.compile(r"[\\`*<>|~$&#]|(?<![^\W_])_|_(?![^\W_])|\](?=[(\[])|\A\["
 
 def render(template: str, **content) -> str:
     """Return a rendered template of this package as plain text; in Markdown values are escaped."""
-    environment = jinja2.Environment(
-        loader=jinja2.PackageLoader("inclined_landing.eval.export", ""),
-        trim_blocks=True,
-        lstrip_blocks=True,
-        keep_trailing_newline=True,
-        undefined=jinja2.StrictUndefined,
-        finalize=escaped if template.endswith(".md.j2") else None,
-    )
-    return environment.get_template(template).render(content)
+    finalize = escaped if template.endswith(".md.j2") else None
+    plain = environment(__package__, keep_trailing_newline=True, finalize=finalize)
+    return plain.get_template(template).render(content)
 
 
 def escaped(value: object) -> str:

@@ -32,6 +32,11 @@ def longest_bridged(t: np.ndarray) -> float:
     return min(max(GAP_SECONDS, GAP_STEPS * step), ALWAYS_GAP)
 
 
+def runs(mask: np.ndarray) -> np.ndarray:
+    """Return the first row and the row after the last of every stretch (k, 2) in which a mask is true."""
+    return np.flatnonzero(np.diff(np.r_[False, mask, False])).reshape(-1, 2)
+
+
 # Columns of each array that has a value per row; None: it is one column, (m,).
 _WIDTHS = {"t": None, "position": 3, "attitude": 3, "command": 4, "velocity": 3, "voltage": None}
 _WIDTHS |= {"contact": None, "requests": 4, "rotor_speed": 4}

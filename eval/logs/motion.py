@@ -18,7 +18,7 @@ from scipy.spatial.transform import Rotation
 
 from inclined_landing.eval.logs.findings import Finding, info, limit, refuse
 from inclined_landing.eval.logs.limits import LEAST_RATE
-from inclined_landing.eval.logs.log import MOTORS_OFF, FlightLog
+from inclined_landing.eval.logs.log import MOTORS_OFF, FlightLog, runs
 from inclined_landing.eval.logs.values import SHORTEST
 
 GRAVITY = 9.81
@@ -74,7 +74,7 @@ def motion(log: FlightLog) -> Motion:
     found: dict[str, list[np.ndarray]] = {field.name: [] for field in dataclasses.fields(Motion)}
     for piece in log.pieces(SHORTEST):
         on = ~(piece.command[:, 0] <= MOTORS_OFF) & ~standing(piece)
-        for a, b in _runs(on):
+        for a, b in runs(on):
             if b - a > 1 and piece.t[b - 1] - piece.t[a] >= SHORTEST:
                 for name, values in _motion(piece.rows(slice(a, b)).resampled(RATE)).items():
                     found[name].append(values)
@@ -97,7 +97,7 @@ def standing(log: FlightLog) -> np.ndarray:
     level = float(np.median(flown))
     for piece, slow in zip(pieces, still):
         first = int(np.searchsorted(log.t, piece.t[0]))
-        for a, b in _runs(slow):
+        for a, b in runs(slow):
             if (
                 piece.t[b - 1] - piece.t[a] < STANDS
                 or abs(piece.command[a:b, 0].mean() - level) < STANDING_DIFFERENCE * level
@@ -106,7 +106,7 @@ def standing(log: FlightLog) -> np.ndarray:
             distance = np.linalg.norm(piece.position - np.median(piece.position[a:b], axis=0), axis=1)
             near = distance < PLACE + 4.0 * np.median(distance[a:b])
             near[a:b] = True
-            begin, end = next(run for run in _runs(near) if run[0] <= a < run[1])
+            begin, end = next(run for run in runs(near) if run[0] <= a < run[1])
             result[first + begin : first + end] = True
     return result
 
@@ -118,11 +118,6 @@ def _still(piece: FlightLog) -> np.ndarray:
         return np.zeros(len(piece), bool)
     velocity = scipy.signal.savgol_filter(piece.position, rows, 1, 1, 1 / piece.rate, axis=0)
     return np.linalg.norm(velocity, axis=1) < STILL
-
-
-def _runs(mask: np.ndarray) -> np.ndarray:
-    """Return the first row and the row after the last of every stretch (k, 2) in which a mask is true."""
-    return np.flatnonzero(np.diff(np.r_[False, mask, False])).reshape(-1, 2)
 
 
 def _motion(log: FlightLog) -> dict[str, np.ndarray]:
@@ -293,7 +288,7 @@ def _unexplained(quaternion: np.ndarray, lean: np.ndarray) -> float:
 
 def _check_standing(log: FlightLog) -> Iterator[Finding]:
     """Yield a finding if the vehicle is on the ground with its motors running."""
-    rows = _runs(standing(log) & (log.command[:, 0] > MOTORS_OFF))
+    rows = runs(standing(log) & (log.command[:, 0] > MOTORS_OFF))
     seconds = [log.t[b - 1] - log.t[a] for a, b in rows]
     if sum(seconds) > STANDS:
         begin = log.t[rows[int(np.argmax(seconds))][0]]

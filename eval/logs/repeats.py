@@ -13,7 +13,7 @@ from collections.abc import Iterable, Mapping
 import numpy as np
 
 from inclined_landing.eval.logs.channels import Channel
-from inclined_landing.eval.logs.log import GAP_SECONDS, MOTORS_OFF, VOLTAGE_BRIDGED, longest_bridged
+from inclined_landing.eval.logs.log import GAP_SECONDS, MOTORS_OFF, VOLTAGE_BRIDGED, longest_bridged, runs
 from inclined_landing.eval.logs.units import QUATERNION, ROTOR_SPEEDS
 
 REWRITTEN = 0.2  # share of repeats in motion above which a quantity was measured less often than written
@@ -59,7 +59,7 @@ def without_repeats(
             for (key, part), rows, none in zip(together.items(), kept.T, held.T):
                 if none.any():
                     name = key if key == part.column else f"{part.column} ({key})"
-                    start, stop = np.flatnonzero(np.diff(np.r_[False, none, False])).reshape(-1, 2).T
+                    start, stop = runs(none).T
                     extent = f"{(t[stop - 1] - t[start]).max():.2g} s, in {percent(none.mean())} of the rows"
                     columns.setdefault(extent, []).append(name)
                 if not rows.all():

@@ -50,7 +50,7 @@ _HERO = np.array([1.75, 2.9, -1.0])  # where the hero camera looks, from its pla
 _ROOM = np.array([0.2, 0.2, 0.15])  # m around a flight: the vehicle as it is drawn, and some air
 _FILLED = 0.88  # of a picture's height; the caption has the rest
 _NEAR = 0.35  # m; nearer, the vehicle as it is drawn would overlap a copy at the goal
-_SPACING = 0.13  # m; copies in a strobe picture are at least this apart
+_COPIES, _SPACING = 10, 0.13  # in a strobe picture: at most so many, at least so many m apart
 _EARLY, _LATE = np.array([0.30, 0.05, 0.62]), np.array([0.98, 0.62, 0.20])  # along a strobe picture
 
 
@@ -159,13 +159,13 @@ def render_flight(
         yield from threads.in_threads(draw, list(zip(renderers, frames[first:])))
 
 
-def strobe(flight: Track, renderer: SceneRenderer, *, copies: int = 10) -> np.ndarray:
+def strobe(flight: Track, renderer: SceneRenderer) -> np.ndarray:
     """Return one picture of a whole flight, with copies of the vehicle along its path and a solid last one.
 
-    At most `copies` precede the last; their colours run from violet (early) to orange (late), or show the
-    legs of a mission.
+    At most _COPIES precede the last; their colours run from violet (early) to orange (late), or show the legs
+    of a mission.
     """
-    chosen = select_copies(flight.state, copies + 1, _SPACING)[:-1]
+    chosen = select_copies(flight.state, _COPIES + 1, _SPACING)[:-1]
     colours = _EARLY + path_share(flight.state)[:, None] * (_LATE - _EARLY)
     if isinstance(flight, Mission):
         colours = leg_colours(flight)

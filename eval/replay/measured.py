@@ -10,6 +10,7 @@ import numpy as np
 from inclined_landing.eval.gap.answer.rollout import RolloutWindows, simulate
 from inclined_landing.eval.gap.flights.windows import MeasuredFlight, prepare
 from inclined_landing.eval.logs import FlightLog
+from inclined_landing.eval.logs.log import runs
 from inclined_landing.eval.replay.recording import MEASURED, SIMULATED, Recording
 from inclined_landing.models.base.errors import UserError
 from inclined_landing.models.vehicle import Vehicle
@@ -98,9 +99,8 @@ def _simulated(
 
 def _segments(usable: np.ndarray, rows: int) -> list[tuple[int, int]]:
     """Return first row and number of steps, at most `rows`, of each segment of the usable rows (m,)."""
-    edges = np.flatnonzero(np.diff(np.concatenate([[False], usable, [False]]).astype(int)))
     found = []
-    for begin, end in zip(edges[::2], edges[1::2]):
+    for begin, end in runs(usable).tolist():
         for first in range(begin, end - 1, rows):
             steps = min(rows, end - 1 - first)
             if steps >= min(rows, SHORTEST):

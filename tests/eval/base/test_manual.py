@@ -9,7 +9,7 @@ from inclined_landing.envs.rendering import CAMERAS
 from inclined_landing.envs.shared import command_line
 from inclined_landing.envs.shared.command_line import bound
 from inclined_landing.eval import cli, demo
-from inclined_landing.eval.base.options import FITTED
+from inclined_landing.eval.base.options import FITTED, Look
 from inclined_landing.train.cli import main as train
 from inclined_landing.train.config import TrainConfig, flag_of
 
@@ -84,7 +84,7 @@ def test_versions_of_both_programs(capsys):
 
 def test_demo_counts_films_and_pictures(tmp_path, monkeypatch, capsys):
     monkeypatch.setattr(demo, "STARTS", 4)
-    monkeypatch.setattr(demo, "LOOK", {"width": 64, "height": 48})
+    monkeypatch.setattr(demo, "LOOK", Look(width=64, height=48))
     out = tmp_path / "demo"
     assert cli.main(["demo", "--out", str(out), "--seed", "5"]) == 0
     printed = capsys.readouterr().out
