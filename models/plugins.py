@@ -5,7 +5,6 @@ compiling a model if entry points may be disabled. This module imports nothing h
 """
 
 import ctypes
-import dataclasses
 import functools
 import json
 import sys
@@ -18,16 +17,6 @@ _LIBRARIES = ("libinclined_landing.so", "libinclined_landing.dylib")
 _REMEDY = "run `make` in the repository, or reinstall the package in this environment"
 
 _handle: ctypes.CDLL | None = None
-
-
-@dataclasses.dataclass(frozen=True)
-class PluginStatus:
-    """The result of :func:`loaded`."""
-
-    names: tuple[str, ...]  # plugins of this package that MuJoCo knows
-    library: Path | None  # the shared library, None when it was not built
-    built_for: str | None  # MuJoCo version of the build
-    defaults: dict  # plugin -> attribute -> default at build time
 
 
 @functools.cache
@@ -76,16 +65,17 @@ def stop_profile() -> None:
     ctypes.c_void_p.in_dll(_handle, "mjcb_time").value = None
 
 
-def loaded() -> PluginStatus:
-    """Return which plugins are registered, from which library, and for which MuJoCo version it was built."""
-    library, build = _find()
-    names: tuple[str, ...] = ()
+def loaded() -> tuple[list[str], Path | None, dict]:
+    """Return the plugins of this package that MuJoCo knows, their library, and the record of its build.
+
+    The record holds the version of MuJoCo, and of each plugin the attributes' defaults.
+    """
+    names: list[str] = []
     if _handle is not None:
         _handle.mjp_getPlugin.restype = ctypes.c_void_p
         _handle.mjp_getPlugin.argtypes = (ctypes.c_char_p, ctypes.POINTER(ctypes.c_int))
-        names = tuple(n for n in NAMES if _handle.mjp_getPlugin(n.encode(), None))
-    defaults = {name: build[name] for name in ("rotors", "attitude") if name in build}
-    return PluginStatus(names, library, build.get("mujoco"), defaults)
+        names = [n for n in NAMES if _handle.mjp_getPlugin(n.encode(), None)]
+    return names, *_find()
 
 
 def _find() -> tuple[Path | None, dict]:

@@ -91,7 +91,7 @@ def differences(a, b, where="", seen=None) -> list[str]:
     elif hasattr(a, "save") and hasattr(
         a, "hover_share"
     ):  # vehicles in a plant, whose engine is not Python's
-        a, b = a.save().arrays, b.save().arrays
+        a, b = a.save(), b.save()
     elif not isinstance(a, (dict, list, tuple, collections.deque, set)):
         a, b = getattr(a, "__dict__", {}), getattr(b, "__dict__", {})
     if isinstance(a, dict):

@@ -26,7 +26,6 @@ from stable_baselines3 import PPO
 from inclined_landing.envs.sb3 import BatchVecEnv
 from inclined_landing.models.base import schema, storage
 from inclined_landing.models.base.errors import UserError, shown
-from inclined_landing.models.plants import Snapshot
 from inclined_landing.train.callbacks import TimeSpent
 from inclined_landing.train.config import COPIED, ENDING
 from inclined_landing.train.evaluation import PeriodicEvaluation
@@ -195,7 +194,7 @@ def _arrays(model: PPO, env: BatchVecEnv) -> dict[str, np.ndarray]:
     """Return the arrays that a new model also has."""
     batch = env.env
     parts = {"policy": {name: tensor.numpy() for name, tensor in model.policy.state_dict().items()}}
-    parts |= {"plant": batch.plant.save().arrays, "episodes": batch.episode_state()}
+    parts |= {"plant": batch.plant.save(), "episodes": batch.episode_state()}
     arrays = {f"{part}.{name}": array for part in parts for name, array in parts[part].items()}
     return arrays | {"torch_rng": torch.get_rng_state().numpy()}
 
@@ -216,7 +215,7 @@ def restore(model: PPO, env: BatchVecEnv, saved: Checkpoint) -> TrainingState:
     model.policy.load_state_dict({name: torch.as_tensor(a) for name, a in part("policy").items()})
     optimizer = model.policy.optimizer
     optimizer.load_state_dict(optimizer.state_dict() | {"state": moments})
-    batch.plant.restore(Snapshot(part("plant")))
+    batch.plant.restore(part("plant"))
     batch.restore_episodes(part("episodes"))
     model._last_obs = arrays["last_obs"]
     model._last_episode_starts = arrays["last_episode_starts"]

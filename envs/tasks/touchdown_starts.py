@@ -33,7 +33,7 @@ def around_edge(task: InclinedLanding, rng: np.random.Generator, start: Start) -
 
     Half of them lie in the lowest quarter of the start box.
     """
-    original, start = start, task.at_standstill(start)
+    original, start = start, _at_standstill(start, task.vehicle)
     k, v = len(start), task.vehicle
     uphill = np.where(start.inclination > 0.0, -1.0, 1.0) * v.slab_half_length
     (*_, low), (*_, high) = task.start_box()
@@ -50,7 +50,7 @@ def around_edge(task: InclinedLanding, rng: np.random.Generator, start: Start) -
 
 def close(task: InclinedLanding, rng: np.random.Generator, start: Start, rest_height: float) -> np.ndarray:
     """Return moving states (k, 13) just above the slope; rest_height [m]: that of a vehicle on its feet."""
-    original, start = start, task.at_standstill(start)
+    original, start = start, _at_standstill(start, task.vehicle)
     inclination = start.inclination
     k, v = len(start), task.vehicle
     sin, cos = np.sin(inclination), np.cos(inclination)  # along (cos, -sin), normal (sin, cos)
@@ -85,6 +85,17 @@ def _into_space(rng: np.random.Generator, state: np.ndarray, start: Start, v: Ve
     state = surface.turned(state, start.azimuth)
     state[:, YAW] = start.state[:, YAW]
     return state
+
+
+def _at_standstill(start: Start, v: Vehicle) -> Start:
+    """Return the starts relative to platforms at their usual position, with their slopes at the start."""
+    if start.motion is None:
+        return start
+    platform, state = start.platforms(v), start.state.copy()
+    state[:, : Z + 1] -= platform[:, : Z + 1]
+    state[:, Z] += v.platform_surface_height
+    slope, azimuth = surface.slope_of(platform)
+    return dataclasses.replace(start, state=state, inclination=slope, azimuth=azimuth, motion=None)
 
 
 def _with_platforms(state: np.ndarray, start: Start, v: Vehicle, moving: bool = False) -> np.ndarray:

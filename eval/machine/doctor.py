@@ -97,10 +97,9 @@ def _missing() -> list[str]:
 
 def _plugins() -> tuple[bool, str]:
     plugins.load()
-    status = plugins.loaded()
-    names = ", ".join(name.removeprefix("inclined_landing.") for name in status.names)
-    complete = set(status.names) == set(plugins.NAMES)
-    return complete, f"{names} for MuJoCo {status.built_for}, {status.library}"
+    loaded, library, build = plugins.loaded()
+    names = ", ".join(name.removeprefix("inclined_landing.") for name in loaded)
+    return set(loaded) == set(plugins.NAMES), f"{names} for MuJoCo {build['mujoco']}, {library}"
 
 
 def _simulation() -> tuple[bool, str]:

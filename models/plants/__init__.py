@@ -34,7 +34,7 @@ import inspect
 
 from inclined_landing.models.base.errors import UserError, shown
 from inclined_landing.models.plants.analytic import AnalyticPlant
-from inclined_landing.models.plants.base import Attitude, Plant, Snapshot
+from inclined_landing.models.plants.base import Attitude, Plant
 from inclined_landing.models.plants.contacts import Contacts
 from inclined_landing.models.plants.hybrid import HybridPlant
 from inclined_landing.models.plants.mujoco import MujocoPlant
@@ -48,7 +48,6 @@ __all__ = [
     "HybridPlant",
     "MujocoPlant",
     "Plant",
-    "Snapshot",
     "check_plant",
     "make_plant",
 ]

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import dataclasses
 from collections.abc import Iterable, Sequence
 from typing import Annotated, Literal
 
@@ -37,13 +36,6 @@ def _differ(field: str, member: Vehicle, other: Vehicle) -> bool:
     """Return whether a field of two vehicles differs by more than rounding."""
     one, another = getattr(member, field), getattr(other, field)
     return one != another and not np.allclose(one, another, rtol=1e-9, atol=0.0)
-
-
-@dataclasses.dataclass
-class Snapshot:
-    """Everything `Plant.restore` needs; opaque to the caller."""
-
-    arrays: dict[str, np.ndarray]
 
 
 _SIZE = ("rotor_arm", "rotor_height", "rotor_radius", "effects_foot_height")  # what shapes depend on
@@ -164,17 +156,17 @@ class Plant:
         """(n, 13): `state`, or its value one motion capture delay ago; do not change it."""
         return self.delays.measurement(self.state)
 
-    def save(self) -> Snapshot:
-        """Return everything that a bit-for-bit replay needs."""
-        return Snapshot({name: array.copy() for name, array in self._arrays().items()})
+    def save(self) -> dict[str, np.ndarray]:
+        """Return a snapshot: everything that a bit-for-bit replay needs, opaque to the caller."""
+        return {name: array.copy() for name, array in self._arrays().items()}
 
-    def restore(self, snapshot: Snapshot) -> None:
+    def restore(self, snapshot: dict[str, np.ndarray]) -> None:
         """Return to a snapshot of a plant of the same kind and size."""
-        if set(self._arrays()) != set(snapshot.arrays) or self.n != len(snapshot.arrays["state"]):
+        if set(self._arrays()) != set(snapshot) or self.n != len(snapshot["state"]):
             raise UserError("the snapshot belongs to a plant of a different kind or size")
-        self._make_room(snapshot.arrays)
+        self._make_room(snapshot)
         for name, array in self._arrays().items():
-            array[:] = snapshot.arrays[name]
+            array[:] = snapshot[name]
         if self.disturbance:
             self.disturbance.resume()
         if self.pool:

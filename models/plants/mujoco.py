@@ -31,7 +31,7 @@ from inclined_landing.models.base.errors import UserError
 from inclined_landing.models.compiled import kernel
 from inclined_landing.models.disturbance import Disturbance, Seed
 from inclined_landing.models.motion import Motion
-from inclined_landing.models.plants.base import Attitude, Plant, Snapshot, sizes_differ
+from inclined_landing.models.plants.base import Attitude, Plant, sizes_differ
 from inclined_landing.models.plants.contacts import contact_sensors, read_contacts
 from inclined_landing.models.plants.engine import Columns, Engine, differing_fields, held_histories
 from inclined_landing.models.plants.platforms import Platforms
@@ -166,7 +166,7 @@ class MujocoPlant(Plant):
         if self.platforms:
             self.platforms.make_room(arrays)
 
-    def restore(self, snapshot: Snapshot) -> None:
+    def restore(self, snapshot: dict[str, np.ndarray]) -> None:
         """Return to a snapshot of a plant of the same kind and size."""
         super().restore(snapshot)
         if self.platforms:

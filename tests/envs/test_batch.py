@@ -148,8 +148,8 @@ def test_an_episode_taken_over_begins_where_the_vehicle_is():
         env.step(np.zeros((2, 2)))
     before = env.plant.save()
     observation = env.begin_in_place([1])
-    for name, array in env.plant.save().arrays.items():
-        np.testing.assert_array_equal(array, before.arrays[name])
+    for name, array in env.plant.save().items():
+        np.testing.assert_array_equal(array, before[name])
     np.testing.assert_array_equal(observation, env.observe([1]))
     assert env.length.tolist() == [3, 0] and env.touched.tolist() == [False, False]
 

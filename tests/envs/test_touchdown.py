@@ -165,7 +165,7 @@ def test_training_starts_draw_contact_and_closeness():
     assert 0.0 <= restitution.min() < 0.05 and restitution.max() <= 0.5 and np.median(restitution) > 0.3
     plant = MujocoPlant(500, threads=1)
     BatchEnv(task, plant, seed=0).reset()
-    assert len(np.unique(plant.save().arrays["contact"][:, 0])) == 500
+    assert len(np.unique(plant.save()["contact"][:, 0])) == 500
 
 
 def test_starts_drawn_again_replace_their_contact_too():

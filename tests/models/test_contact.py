@@ -109,4 +109,4 @@ def test_wrong_settings_are_refused_and_change_nothing(options, sentence):
     before = plant.save()
     with pytest.raises(UserError, match=sentence):
         plant.set_contact([0, 1], **({"friction": 0.5} | options))
-    np.testing.assert_array_equal(plant.save().arrays["contact"], before.arrays["contact"])
+    np.testing.assert_array_equal(plant.save()["contact"], before["contact"])

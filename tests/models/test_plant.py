@@ -419,8 +419,8 @@ def test_copies_go_on_alike_and_leave_each_other_alone(kind, copied):
     before = plant.save()
     went = history(other, commands)
     other.reset(np.arange(4), random_states(4, seed=2))
-    for name, array in plant.save().arrays.items():
-        np.testing.assert_array_equal(array, before.arrays[name])
+    for name, array in plant.save().items():
+        np.testing.assert_array_equal(array, before[name])
     assert_same(history(plant, commands), went)
     other.assign(np.arange(4), 0)
     other.set_platform(np.arange(4), 0.1)
