@@ -75,13 +75,6 @@ def _tried(name: str, check: Callable[[], tuple[bool, str]], remedy: str) -> Che
 
 def _packages() -> tuple[bool, str]:
     """Return whether the distribution's own requirements are installed, and their versions."""
-    if missing := _missing():
-        return False, f"missing: {', '.join(missing)}"
-    return True, ", ".join(f"{name} {version}" for name, version in runs.packages().items() if version)
-
-
-def _missing() -> list[str]:
-    """Return packages that the distribution requires and that are not installed."""
     missing = []
     for requirement in importlib.metadata.requires("inclined-landing") or []:
         name, _, condition = requirement.partition(";")
@@ -92,7 +85,9 @@ def _missing() -> list[str]:
             importlib.metadata.version(name)
         except importlib.metadata.PackageNotFoundError:
             missing.append(name)
-    return missing
+    if missing:
+        return False, f"missing: {', '.join(missing)}"
+    return True, ", ".join(f"{name} {version}" for name, version in runs.packages().items() if version)
 
 
 def _plugins() -> tuple[bool, str]:

@@ -73,7 +73,9 @@ class Planner:
 
         waiting = np.isinf(self._remaining)
         self._calm += _CALMING * (normal - self._calm)
-        first = self._entry(self._calm)
+        # The final trajectory starts above the platform and downhill of it.
+        end, _, along = self._end(self._calm)
+        first = end + ABOVE * self._calm + 0.1 * WAY**2 * along
         error, drift = place - first, velocity
         ready = (np.linalg.norm(error, axis=1) < NEAR) & (np.linalg.norm(drift, axis=1) < SLOW)
         begins = waiting & ready
@@ -101,11 +103,6 @@ class Planner:
         down = np.array([0.0, 0.0, -self._gravity])
         along = down - (normal @ down)[:, None] * normal  # of gravity, under thrust that bears the rest
         return self._rest * normal, -SINK * normal, along
-
-    def _entry(self, normal: np.ndarray) -> np.ndarray:
-        """Return the start (n, 3) of the final trajectory, above the platform and downhill of it."""
-        end, _, along = self._end(normal)
-        return end + ABOVE * normal + 0.1 * WAY**2 * along
 
     def _follow(self, on: np.ndarray, normal: np.ndarray) -> None:
         """Advance by a period on the minimum-jerk trajectories from the vehicles to the present platforms."""
