@@ -10,39 +10,19 @@ from msgspec import structs
 from threadpoolctl import threadpool_limits
 
 from inclined_landing.eval.gap import thresholds
-from inclined_landing.eval.gap.answer.selection import (
-    LOOPS,
-    Displacement,
-    corrected,
-    distinct_values,
-    fitted_to_others,
-    judged_by,
-    open_loop_errors,
-    regime_errors,
-    relevant_values,
-    squared_error_shares,
-    useful_values,
-)
-from inclined_landing.eval.gap.answer.sizes import (
-    WEIGHT,
-    disturbances,
-    estimates,
-    loop_pieces,
-    product,
-    response,
-    thrust_of_names,
-    thrust_over_weight,
-)
+from inclined_landing.eval.gap.answer import selection, sizes
+from inclined_landing.eval.gap.answer.selection import Displacement
 from inclined_landing.eval.gap.answer.touchdown import contact_answer
 from inclined_landing.eval.gap.flights.usable import check_unused, usable_flights
+from inclined_landing.eval.gap.flights.windows import MeasuredFlight
 from inclined_landing.eval.gap.infer.fit import estimate_noise
 from inclined_landing.eval.gap.infer.heterogeneity import inconsistent_flights, summary_line
 from inclined_landing.eval.gap.infer.residual import analyse_residual
 from inclined_landing.eval.gap.infer.sets import SetPosterior, equivalence_class, search
-from inclined_landing.eval.gap.model.columns import Candidates, Values
+from inclined_landing.eval.gap.model.columns import Candidates, FittedValues, Values
 from inclined_landing.eval.gap.model.problem import Problem, identifiable_effects
 from inclined_landing.eval.gap.model.reference import VehiclePosterior
-from inclined_landing.eval.gap.result import Diagnosis, NamedEffect, ScoredSet, least_cost
+from inclined_landing.eval.gap.result import Diagnosis, NamedEffect, ScoredSet, cost_beyond_doubt
 from inclined_landing.eval.logs import FlightLog
 from inclined_landing.eval.logs.limits import LEAST_RATE
 from inclined_landing.models.base.errors import first_of
@@ -81,28 +61,29 @@ def diagnose(
         check_unused(use.heldout, reference.flights, "by which the vehicle was identified")
     candidates, unidentifiable = identifiable_effects(library, use.fitted)
 
-    # How probable is every set of effects, with the noise estimated?
-    found = search(*estimate_noise(Problem.of(use.fitted, vehicle, candidates, reference)))
+    # How probable is every set of effects?
+    found = probable_sets(use.fitted, vehicle, candidates, reference)
     notes = [*use.notes, *_data_notes(found.problem), *unidentifiable]
     if "wind" in candidates and "wind" not in found.problem.library:
         notes.append("the vehicle has almost no drag, so wind cannot be diagnosed")
     if in_strong_wind(found):  # attitude loops and lags are not judged
         use, notes = use.without_angle_commands(vehicle), [*notes, _IN_WIND]
         candidates = {name: effect for name, effect in candidates.items() if not effect.is_lag}
-        found = search(*estimate_noise(Problem.of(use.fitted, vehicle, candidates, reference)))
+        found = probable_sets(use.fitted, vehicle, candidates, reference)
     inconsistent = inconsistent_flights(found.problem, found.linear)
 
-    # Which of them matter, and predict flights that were left out? The vehicle is corrected by these.
-    relevant = relevant_values(found)
-    useful = useful_values(found, relevant)
-    found, values = distinct_values(found, useful)
-    correction = corrected(found, values)
+    # Which effects are named? Those that matter, of these those that predict flights left out, and of these
+    # those whose sizes differ from neutral.
+    relevant = selection.relevant_values(found)
+    useful = selection.useful_values(found, relevant)
+    found, values = selection.distinct_values(found, useful)  # linearised where these effects are
 
-    # How wrong are predictions before and after, and does anything else repeat?
-    ahead = open_loop_errors(found, correction, use.judged, values, plants)
+    # How wrong is the vehicle before and after its correction by them, and does anything else repeat?
+    correction = selection.corrected(found, values)
+    ahead = selection.open_loop_errors(found, correction, use.judged, values, plants)
     residual = analyse_residual(found, correction.vehicle, ahead.error)
     known = reference.errors if reference else None
-    least = least_cost(residual, ahead.gap.get("analytic"), known)
+    least = cost_beyond_doubt(residual, ahead.gap.get("analytic"), known)
     effects = named_effects(found, values, ahead.named, least)
     contact = contact_answer(
         use, vehicle, correction.vehicle, candidates, reference.landings if reference else None
@@ -115,11 +96,11 @@ def diagnose(
         estimated={} if correction.half_widths is None else correction.values,
         half_widths=correction.half_widths or {},
         corrected=contact.vehicle,
-        where=(*regime_errors(correction, use.judged), *contact.where),
+        where=(*selection.regime_errors(correction, use.judged), *contact.where),
         sets=contact.sets(scored_sets(found)),
         unidentifiable_sets=unidentifiable_sets(found),
         touchdowns=contact.touchdowns,
-        disturbance=disturbances(found.problem),
+        disturbance=sizes.disturbances(found.problem),
         residual=residual,
         gap=ahead.gap or contact.gap(vehicle, plants),
         platform=use.platform,
@@ -129,8 +110,19 @@ def diagnose(
         reference=known,
         displacements=ahead.displacements,
         growth=ahead.growth,
-        thrust_over_weight=thrust_over_weight(found, values),
+        thrust_over_weight=sizes.thrust_over_weight(found, values),
     )
+
+
+def probable_sets(
+    flights: Sequence[MeasuredFlight],
+    vehicle: Vehicle,
+    candidates: Mapping[str, Effect],
+    reference: VehiclePosterior | None,
+) -> SetPosterior:
+    """Return the posterior over sets of candidate effects, with the noise of the flights estimated."""
+    problem, joint_fit = estimate_noise(Problem.of(flights, vehicle, candidates, reference))
+    return search(problem, joint_fit)
 
 
 def named_effects(
@@ -138,34 +130,34 @@ def named_effects(
 ) -> tuple[NamedEffect, ...]:
     """Return the named effects with estimates, in the order of `values`.
 
-    ahead: what each does to the error one second ahead. least: the answer of `least_cost`.
+    ahead: what each does to the error one second ahead. least: the cost [m] above which none is in doubt.
     """
-    problem, pieces = found.problem, loop_pieces(found.problem, values)
-    doubtful = {name for name in values if least > 0.0 and not ahead[name].cost > least}
-    sizes, gains = estimates(found, values), squared_error_shares(problem, values)
-    total = thrust_of_names(found, values)
-    cancel = total is not None and total[1][0] <= 1.0 <= total[1][1]
+    problem, pieces = found.problem, sizes.loop_pieces(found.problem, values)
+    library, gains = problem.library, selection.squared_error_shares(problem, values)
+    estimates, thrust = sizes.estimates(found, values), sizes.thrust_of_names(found, values)
+    may_cancel = thrust is not None and thrust.ci95[0] <= 1.0 <= thrust.ci95[1]
     result: list[NamedEffect] = []
     for name in (n for n in values if n not in pieces[1:]):
-        names = pieces if name in pieces else (name,)
+        names, parameters, parts = [name], estimates[name], FittedValues()
+        if name in pieces:  # lags of the attitude loops have one name and one size
+            names, parameters = [*pieces], {"response": sizes.response(found, values, pieces)}
+            parts = {n: dict(values[n]) for n in pieces}
         classes = ((n, *equivalence_class(found, n), *_predicting_as_well(found, values, n)) for n in names)
         members = tuple(dict.fromkeys(m for of_one in classes for m in of_one))
-        library, parts = problem.library, {}
-        if name in pieces:
-            parts = {n: dict(values[n]) for n in pieces}
-            sizes[name] = {"response": response(found, values, pieces)}
+        too_small = least > 0.0 and not ahead[name].cost > least
+        cancelled = may_cancel and name in sizes.WEIGHT
+        doubt = _doubt(problem, name, ahead[name].along, too_small, cancelled)
         result.append(
             NamedEffect(
                 name=name,
                 members=members,
                 probability=found.probability(*members),
-                parameters=sizes[name],
+                parameters=parameters,
                 gain=max(gains[n] for n in names),
                 remedy=library[LOOP if parts else name].remedy,
                 cost=ahead[name].cost,
-                product=product(found, values, name) if library[name].product else None,
-                doubt=_doubt(problem, name, ahead[name].along, name in doubtful, cancel and name in WEIGHT)
-                or _doubt_next_to(library, name, [one.name for one in result]),
+                product=sizes.product(found, values, name) if library[name].product else None,
+                doubt=doubt or _doubt_next_to(library, name, [one.name for one in result]),
                 parts=parts,
             )
         )
@@ -178,19 +170,24 @@ def _predicting_as_well(found: SetPosterior, values: Values, name: str) -> list[
     A load on a string is a mass where no swing shows.
     """
     effect = found.problem.library[name]
-    by = judged_by(effect, values[name])
-    if not by or all(p.linear for p in effect.parameters):
+    judged_by = selection.judged_by(effect, values[name])
+    if not judged_by or all(p.linear for p in effect.parameters):
         return []
     others = [n for n in effect.confused_with if n in found.problem.library and n not in values]
-    sets = [frozenset(values) - {name} | {n} for n in (name, *others)]
-    here, *errors = (fitted_to_others(found, names).pose_errors[by] for names in sets)
-    return [n for n, error in zip(others, errors) if (error <= here).all()]
+
+    def errors_with(other: str) -> np.ndarray:
+        names = frozenset(values) - {name} | {other}
+        return selection.fitted_to_others(found, names).pose_errors[judged_by]
+
+    here = errors_with(name)
+    return [n for n in others if (errors_with(n) <= here).all()]
 
 
-def _doubt(problem: Problem, name: str, along: Mapping[str, float], doubtful: bool, cancelled: bool) -> str:
+def _doubt(problem: Problem, name: str, along: Mapping[str, float], too_small: bool, cancelled: bool) -> str:
     """Return a sentence on why an effect is not sure, whatever its probability; empty where it may be.
 
-    doubtful: the named effects leave too much. cancelled: it and others may cancel each other.
+    along: how far it moves the vehicle along each axis. too_small: compared with what all names leave.
+    cancelled: it and others may cancel each other.
     """
     slow = [f.name for f in problem.flights if not f.shows_lags]
     if slow and problem.library[name].is_lag:
@@ -201,7 +198,7 @@ def _doubt(problem: Problem, name: str, along: Mapping[str, float], doubtful: bo
             "In doubt, because without the requests of the motors flights show a moment only while it is "
             "taken over: log them (m1req to m4req)."
         )
-    if doubtful:
+    if too_small:
         return "In doubt, because the named effects leave more than noise and disturbances would."
     if cancelled:
         return "In doubt, because the named effects together may leave thrust over weight as modelled."
@@ -224,7 +221,7 @@ def _doubt_next_to(library: Mapping[str, Effect], name: str, larger: Sequence[st
 
     No loop is quite of the modelled form: what is confused with a change makes up for the errors of its form.
     """
-    loops = {n for n in (name, *larger) if LOOPS.issuperset(library[n].channels)}
+    loops = {n for n in (name, *larger) if selection.LOOPS.issuperset(library[n].channels)}
     for other in larger:
         if {name, other} <= loops and other in library[name].confused_with:
             return f"In doubt, because it may be a part of the {other.replace('_', ' ')}."

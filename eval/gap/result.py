@@ -5,7 +5,7 @@ from __future__ import annotations
 import dataclasses
 import math
 from collections.abc import Mapping, Sequence
-from typing import Literal, TypeVar
+from typing import Literal, NamedTuple, TypeVar
 
 import msgspec
 import numpy as np
@@ -58,6 +58,13 @@ class RegimeError:
     windows: int
 
 
+class Quantity(NamedTuple):
+    """A quantity with its 95 % interval."""
+
+    value: float
+    ci95: tuple[float, float]
+
+
 @dataclasses.dataclass(frozen=True)
 class Estimate:
     """A fitted parameter."""
@@ -93,9 +100,9 @@ class NamedEffect:
     gain: float  # share of the closable squared error that is lost without it, 0..1
     remedy: str
     cost: float = math.nan  # m, position error one second ahead that it alone makes
-    # Acceleration [m/s2] that it makes in hover together with the vehicle's other constants, and its 95 %
-    # interval: the flights determine this product. None where they determine its size.
-    product: tuple[float, tuple[float, float]] | None = None
+    # Acceleration [m/s2] that it makes in hover together with the vehicle's other constants: the flights
+    # determine this product. None where they determine its size.
+    product: Quantity | None = None
     doubt: str = ""  # a sentence: why it is not sure, whatever its probability
     # Effect -> parameter -> value of the effects of which the flights show only the sum; then the parameter
     # above is a size of that sum.
@@ -164,7 +171,7 @@ class ResidualAnalysis:
         return any(map(self.material, self.depends_on))
 
     @property
-    def repeats(self) -> float:
+    def repeating(self) -> float:
         """Return the displacement [m] within a second by the largest material function; 0 for none."""
         return max((d.displacement for d in self.depends_on if self.material(d)), default=0.0)
 
@@ -200,24 +207,6 @@ class ReferenceErrors:
     # Axes of the position one second ahead, or "position", that it predicts worse than the vehicle before:
     # errors [m] of that and of this one.
     worse: Mapping[str, tuple[float, float]] = dataclasses.field(default_factory=dict)
-
-    def exceeded_by(self, error: float, floor: float) -> bool:
-        """Return whether an error one second ahead is larger; `floor`: that of its own measurement noise."""
-        return error > thresholds.LARGER_ERROR * max(self.error, floor)
-
-    def disturbed(self, disturbance: Mapping[str, Disturbance]) -> dict[str, float]:
-        """Return the axes along which the disturbance is larger, by intervals too, and how many times so.
-
-        The angles are disturbed more the more a flight steers, as no loop has quite the modelled form.
-        """
-        return {
-            channel: one.size / max(own.size, 1e-9)
-            for channel, one in disturbance.items()
-            if channel in ("x", "y", "z")
-            and (own := self.disturbance.get(channel))
-            and one.size >= thresholds.LARGER_DISTURBANCE * own.size
-            and one.size_ci95[0] > own.size_ci95[1]
-        }
 
 
 class ScoredSet(Table, frozen=True):
@@ -270,19 +259,13 @@ class InconsistentFlights:
 
 @dataclasses.dataclass(frozen=True)
 class PlantGap:
-    """Open-loop position error in one plant on held-out flights, root mean square in metres."""
+    """Open-loop position error [m] in one plant at the horizon, root mean square over held-out flights."""
 
     before: float
     after: float
     floor: float
     windows: int
     horizon: float  # s
-
-    @property
-    def closed(self) -> float:
-        """Return the share of the closable gap that is closed: 1 where `after` is at the floor."""
-        closable = self.before - self.floor
-        return float("nan") if closable <= 0 else (self.before - self.after) / closable
 
 
 @dataclasses.dataclass(frozen=True)
@@ -298,23 +281,25 @@ class ErrorGrowth:
     floor: np.ndarray  # of noise alone
 
 
-def least_cost(residual: ResidualAnalysis, gap: PlantGap | None, reference: ReferenceErrors | None) -> float:
-    """Return the position error [m] that an effect must account for: one that accounts for less is in doubt.
+def cost_beyond_doubt(
+    residual: ResidualAnalysis, gap: PlantGap | None, reference: ReferenceErrors | None
+) -> float:
+    """Return the error [m] one second ahead that a name must account for to be sure; inf: none is sure.
 
-    It is infinite, so that all effects are in doubt, if the error that remains with the named effects is much
-    larger than that of the reference flights, or mostly repeats from flight to flight. If it does not exceed
-    that of the reference flights, what repeats may be the identified vehicle's own error. If that is small
-    compared with the error before, it casts doubt only on effects of its size.
+    No name is sure if the error that remains with all of them is much larger than that of the reference
+    flights, or if most of it repeats from flight to flight. But what repeats may be the identified vehicle's
+    own error, if what remains does not exceed that and it is small compared with the error before: then
+    effects that account for more than it are sure.
     """
     if gap is None:
         return math.inf if residual.unexplained else 0.0
-    much = own = False
-    if reference is not None:
-        much = gap.after > thresholds.MUCH_LARGER * max(reference.error, gap.floor)
-        own = gap.after <= reference.error <= math.sqrt(thresholds.MATERIAL) * gap.before
-    if much or residual.repeats**2 <= thresholds.MOSTLY * gap.after**2:
-        return math.inf if much else 0.0
-    return residual.repeats / math.sqrt(thresholds.MOSTLY) if own else math.inf
+    if reference and gap.after > thresholds.MUCH_LARGER * max(reference.error, gap.floor):
+        return math.inf
+    if residual.repeating**2 <= thresholds.MOSTLY * gap.after**2:
+        return 0.0
+    if reference and gap.after <= reference.error <= math.sqrt(thresholds.MATERIAL) * gap.before:
+        return residual.repeating / math.sqrt(thresholds.MOSTLY)
+    return math.inf
 
 
 @dataclasses.dataclass(frozen=True)
@@ -345,8 +330,7 @@ class Diagnosis:
     reference: ReferenceErrors | None = None  # of the identified vehicle's own flights
     # Effect that was not named -> displacement [m] within a second, by its size in the best set with it.
     displacements: Mapping[str, float] = dataclasses.field(default_factory=dict)
-    # Thrust over weight at the usual command, over the modelled one, and its interval; None: as modelled.
-    thrust_over_weight: tuple[float, tuple[float, float]] | None = None
+    thrust_over_weight: Quantity | None = None  # at the usual command, over the modelled one; None: as that
     growth: ErrorGrowth | None = None  # None: no flight has a usable second
 
     def values(self) -> dict[str, dict[str, float]]:
@@ -355,50 +339,98 @@ class Diagnosis:
 
     @property
     def verdict(self) -> Verdict:
-        """Return the verdict.
+        """Return the verdict: the first of these that holds.
 
-        `unknown`: the flights repeat more than the named effects explain, or these leave too much. Otherwise
-        `effects`: some are named. Otherwise `undecided`: effects of a size that matters are probable, or
-        would explain why the error exceeds that of the reference flights. Otherwise `unknown` if it exceeds
-        that, and `nothing` if it does not.
+        - `unknown`: the landings, or the flights (`repeats`), repeat an error that no name explains.
+        - With names, `unknown` if they leave so much that none can be sure, else `effects`.
+        - `undecided`: effects that matter are probable, or would explain why the error exceeds that of the
+          reference flights.
+        - `unknown`: the error, or a disturbance that shows in it, exceeds that of the reference flights.
+        - `nothing`.
         """
-        landed = self.touchdowns is not None and self.touchdowns.unexplained
-        if landed or self.repeats:
+        landings_repeat = self.touchdowns is not None and self.touchdowns.unexplained
+        if landings_repeat or self.repeats:
             return "unknown"
         if self.effects:
-            least = least_cost(self.residual, self.gap.get("analytic"), self.reference)
+            least = cost_beyond_doubt(self.residual, self.ahead, self.reference)
             return "unknown" if math.isinf(least) else "effects"
         if self.undecided:
             return "undecided"
         return "unknown" if self.exceeds_reference else "nothing"
 
     @property
-    def repeats(self) -> bool:
-        """Return whether the flights repeat more than the named effects explain.
+    def ahead(self) -> PlantGap | None:
+        """Return the position errors one second ahead by the equations; None: no flight has such a second."""
+        return self.gap.get("analytic")
 
-        Where their error does not exceed that of the reference's flights, most of it must repeat: less may
-        be the reference's own error.
+    @property
+    def repeats(self) -> bool:
+        """Return whether the flights repeat an error that is larger than the named effects explain.
+
+        If the error that remains does not exceed that of the reference flights, most of it must repeat, as
+        less may be the reference's own error.
         """
-        g = self.gap.get("analytic")
-        if self.reference is not None and g is not None and g.after <= self.reference.error:
-            most = self.residual.repeats**2 > thresholds.MOSTLY * g.after**2
-        else:
-            most = self.residual.unexplained
-        return most and self.residual.repeats > self.explained
+        repeating, ahead = self.residual.repeating, self.ahead
+        if self.reference and ahead and ahead.after <= self.reference.error:
+            return repeating > self.explained and repeating**2 > thresholds.MOSTLY * ahead.after**2
+        return repeating > self.explained and self.residual.unexplained
+
+    @property
+    def explained(self) -> float:
+        """Return the error [m] one second ahead that the named effects account for."""
+        g = next(iter(self.gap.values()), None)
+        return math.sqrt(max(0.0, g.before**2 - g.after**2)) if g and self.effects else 0.0
 
     @property
     def undecided(self) -> dict[str, float]:
         """Return the possible effects among which it is undecided, with their probabilities.
 
-        They are all possible effects, where these are probable. Where the error exceeds that of the
-        reference, they are those whose squared displacement is at least MAKES_UP of the squared error beyond
-        it.
+        They are all possible effects, if one of them is probably missing. If the error exceeds that of the
+        reference flights, they are those whose squared displacement is at least the share MAKES_UP of the
+        squared error beyond it.
         """
         if self.reference is None or not self.larger_error:
             return self.possible if self.probability(*self.possible) >= thresholds.UNDECIDED else {}
-        excess = self.residual.error**2 - self.reference.error**2
-        least = thresholds.MAKES_UP * excess
+        least = thresholds.MAKES_UP * (self.residual.error**2 - self.reference.error**2)
         return {n: p for n, p in self.possible.items() if self.displacements.get(n, 0.0) ** 2 >= least}
+
+    @property
+    def larger_error(self) -> bool:
+        """Return whether the error that remains exceeds that of the reference flights."""
+        if self.reference is None or self.ahead is None:
+            return False
+        return self.ahead.after > thresholds.LARGER_ERROR * max(self.reference.error, self.ahead.floor)
+
+    @property
+    def disturbed(self) -> dict[str, float]:
+        """Return the axes with a larger disturbance than in the reference flights, and how many times.
+
+        Its interval must lie above theirs as well. Angles are disturbed more the more a flight steers, as no
+        loop has quite the modelled form, and do not count.
+        """
+        before = self.reference.disturbance if self.reference else {}
+        return {
+            axis: now.size / max(before[axis].size, 1e-9)
+            for axis, now in self.disturbance.items()
+            if axis in ("x", "y", "z")
+            and axis in before
+            and now.size >= thresholds.LARGER_DISTURBANCE * before[axis].size
+            and now.size_ci95[0] > before[axis].size_ci95[1]
+        }
+
+    @property
+    def exceeds_reference(self) -> bool:
+        """Return whether the error that remains, or a disturbance, exceeds that of the reference flights.
+
+        A disturbance does not count if the error is smaller than theirs by USEFUL: then it does not show.
+        """
+        own = self.reference.error if self.reference else math.inf
+        shows = not self.residual.error < (1.0 - thresholds.USEFUL) * own
+        return self.larger_error or bool(self.disturbed and shows)
+
+    def probability(self, *names: str) -> float:
+        """Return the marginal probability that at least one of some effects is missing."""
+        return marginal(self.sets, names)
 
     @property
     def nothing(self) -> float:
@@ -414,47 +446,13 @@ class Diagnosis:
         least = thresholds.MATERIAL * self.residual.error**2
         return frozenset(name for name, moved in self.displacements.items() if moved**2 < least)
 
-    def probability(self, *names: str) -> float:
-        """Return the marginal probability that at least one of some effects is missing."""
-        return marginal(self.sets, names)
-
     @property
     def possible(self) -> dict[str, float]:
         """Return the effects not named that may matter, with their probabilities, most probable first."""
         named = {name for effect in self.effects for name in effect.members}
         others = {name for one in self.sets for name in one.effects} - named - self.immaterial
-        found = sorted(
-            ((name, self.probability(name)) for name in others), key=lambda item: (-item[1], item[0])
-        )
-        return {name: part for name, part in found if part >= thresholds.POSSIBLE}
-
-    @property
-    def explained(self) -> float:
-        """Return the error [m] one second ahead that the named effects account for."""
-        g = next(iter(self.gap.values()), None)
-        return math.sqrt(max(0.0, g.before**2 - g.after**2)) if g and self.effects else 0.0
-
-    @property
-    def disturbed(self) -> dict[str, float]:
-        """Return the channels with a larger disturbance than in the reference's flights, and the ratio."""
-        return self.reference.disturbed(self.disturbance) if self.reference else {}
-
-    @property
-    def larger_error(self) -> bool:
-        """Return whether the error left exceeds that of the reference's flights."""
-        g = self.gap.get("analytic")
-        return self.reference is not None and g is not None and self.reference.exceeded_by(g.after, g.floor)
-
-    @property
-    def exceeds_reference(self) -> bool:
-        """Return whether the error left exceeds that of the reference's flights.
-
-        Larger disturbances count as well, unless the error left is smaller by USEFUL: then they do not show
-        in the position.
-        """
-        own = self.reference.error if self.reference else math.inf
-        shows = not self.residual.error < (1.0 - thresholds.USEFUL) * own
-        return self.larger_error or bool(self.disturbed and shows)
+        ranked = sorted((-self.probability(name), name) for name in others)
+        return {name: -negative for negative, name in ranked if -negative >= thresholds.POSSIBLE}
 
     def apply(self, vehicle: Vehicle) -> Vehicle:
         """Return `vehicle` with the named effects added, and the others as they were estimated again."""

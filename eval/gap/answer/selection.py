@@ -53,7 +53,7 @@ class Refit:
     def of(found: SetPosterior, values: FittedValues) -> Refit:
         """Return values of a set of effects, and those fitted without each flight (linearised)."""
         names = frozenset(values)
-        local = found.local.with_wide_slabs(names)
+        local = found.local.for_sizes_of(names)
         return Refit(found.problem, values, leave_one_out(found.problem, local, names, values))
 
     @cached_property
@@ -86,6 +86,10 @@ class Refit:
         starts = self._windows_ahead()
         return rollout.pose_errors(starts, self.vehicles) if starts else np.full(3, math.nan)
 
+    def growth_of(self, errors: Sequence[int], other: Refit) -> np.ndarray:
+        """Return some of its `pose_errors` over those of another fit."""
+        return self.pose_errors[errors] / np.maximum(other.pose_errors[errors], 1e-12)
+
     def _windows_ahead(self) -> rollout.RolloutWindows | None:
         """Return the windows of a second in which errors are measured; None where no stretch is so long."""
         try:
@@ -97,85 +101,103 @@ class Refit:
 def relevant_values(found: SetPosterior) -> FittedValues:
     """Return the values of the probable effects that are large enough to matter.
 
-    Each explains a share RELEVANT of the squared error in a channel, or the error one second ahead grows by
-    USEFUL without it, as few windows may show it. With many flights even a change too small to matter is
-    certain.
+    These are the effects of the most probable set whose equivalence class has the probability NAMED. The one
+    that explains least is dropped, one at a time, until each of the others explains a share RELEVANT of the
+    squared error in a channel, or an error one second ahead grows by USEFUL without it, as few windows may
+    show it. (With many flights even a change too small to matter is certain.)
     """
-    # Effects of the best set of probability >= NAMED, those confounded with them added.
     names = frozenset(
         n for n in found.names if found.probability(*equivalence_class(found, n)) >= thresholds.NAMED
     )
     while True:
         values = fitted_values(found, names)
-        after = found.problem.squares_by_channel(values)
-        logged = after > 0.0
-        # R^2 = increase without it / (rest + increase), in the channel where it is largest
-        shares = {}
-        for name, lost in _squared_error_increase(found.problem, values).items():
-            shares[name] = float(np.max(lost[logged] / np.maximum(after + lost, 1e-9)[logged], initial=0.0))
-        small = sorted((n for n in shares if shares[n] < thresholds.RELEVANT), key=lambda name: shares[name])
-        least = next((n for n in small if not _shows_ahead(found, values, n)), "")
-        if not least:
+        shares = _explained_shares(found.problem, values)
+        small = sorted((n for n in shares if shares[n] < thresholds.RELEVANT), key=lambda n: shares[n])
+        irrelevant = next((n for n in small if not _shows_ahead(found, values, n)), None)
+        if irrelevant is None:
             return values
-        names -= {least}
+        names -= {irrelevant}
+
+
+def _explained_shares(problem: Problem, values: Values) -> dict[str, float]:
+    """Return effect -> share of the squared error that it explains, in the channel where that is largest."""
+    # R^2 = increase without it / (rest + increase)
+    rest, shares = problem.squares_by_channel(values), {}
+    logged = rest > 0.0
+    for name, lost in _squared_error_increase(problem, values).items():
+        shares[name] = float(np.max(lost[logged] / np.maximum(rest + lost, 1e-9)[logged], initial=0.0))
+    return shares
 
 
 def useful_values(found: SetPosterior, values: FittedValues) -> FittedValues:
     """Return the values of the effects without which flights left out are predicted worse.
 
-    This is a backward elimination by the open-loop errors one second ahead: of the position, and of tilt and
-    heading where an effect acts on the attitude or on yaw. An effect is dropped if, without it, the first of
-    these does not grow (other effects fixed) and none grows by USEFUL (other effects refitted). None is
-    dropped if no stretch is long enough.
+    This is a backward elimination by the open-loop errors one second ahead: of the effects that flights left
+    out do not need (`_fit_without`), the one without which its main error grows least is dropped, one at a
+    time. None is dropped if no stretch of the flights is long enough.
     """
     # No set of effects is exactly true: one may be certain from its windows and mislead all the same.
-    by = {name: judged_by(found.problem.library[name], values[name]) for name in values}
     fit = fitted_to_others(found, frozenset(values))
-    while fit.values:
-        fewer = []
-        for name in (n for n in sorted(fit.values) if by[n]):
-            rest, own = frozenset(fit.values) - {name}, by[name]
-            fixed = dataclasses.replace(fit, left_out=[{n: v[n] for n in rest} for v in fit.left_out])
-            if fixed.pose_errors[own[0]] <= fit.pose_errors[own[0]]:
-                without = fitted_to_others(found, rest)
-                growth = without.pose_errors[own] / np.maximum(fit.pose_errors[own], 1e-12)
-                if growth.max() <= 1.0 + thresholds.USEFUL:
-                    fewer.append((growth[0], without))
-        if not fewer:
-            break
-        _, fit = min(fewer, key=lambda one: one[0])
-    return fit.values
+    while True:
+        unneeded: list[tuple[float, Refit]] = []
+        for name in sorted(fit.values):
+            errors = judged_by(found.problem.library[name], values[name])
+            if errors and (without := _fit_without(found, fit, name, errors)):
+                unneeded.append((without.growth_of(errors, fit)[0], without))
+        if not unneeded:
+            return fit.values
+        _, fit = min(unneeded, key=lambda one: one[0])
+
+
+def _fit_without(found: SetPosterior, fit: Refit, name: str, errors: list[int]) -> Refit | None:
+    """Return the fit of the other effects, if flights left out do not need this one; None if they do.
+
+    They need it if the first of its `errors` (see `judged_by`) grows without it, the other effects fixed; or
+    if one of these grows by USEFUL without it, the other effects fitted again.
+    """
+    rest = frozenset(fit.values) - {name}
+    fixed = dataclasses.replace(fit, left_out=[{n: v[n] for n in rest} for v in fit.left_out])
+    if not fixed.pose_errors[errors[0]] <= fit.pose_errors[errors[0]]:
+        return None
+    without = fitted_to_others(found, rest)
+    return without if without.growth_of(errors, fit).max() <= 1.0 + thresholds.USEFUL else None
 
 
 def distinct_values(found: SetPosterior, values: FittedValues) -> tuple[SetPosterior, FittedValues]:
-    """Return the values of the effects whose sizes differ from neutral, or that predict better by USEFUL.
+    """Return the values of the effects that are to be named, and the posterior linearised there.
 
-    An effect each of whose sizes may be neutral, or ends at a bound, is not named: others explain it. A
-    change of the loops alone, next to a larger effect, must be firm and predict better too, because no loop
-    is quite of the modelled form and the vehicle's constants are estimated again. Without the motors'
-    requests a moment must be firm. The posterior is linearised where the effects are named.
+    The smallest effect that is not distinct (see `_is_distinct`) is dropped, one at a time.
     """
     found, values = refitted(found, values)
-    distinct = values
-    while least := _least_distinct(found, distinct):
-        distinct = _largest_first(found.problem, fitted_values(found, frozenset(distinct) - {least}))
-    return refitted(found, distinct) if len(distinct) < len(values) else (found, values)
+    named = values
+    while (least := _least_distinct(found, named)) is not None:
+        named = _largest_first(found.problem, fitted_values(found, frozenset(named) - {least}))
+    return refitted(found, named) if len(named) < len(values) else (found, values)
 
 
-def _least_distinct(found: SetPosterior, values: FittedValues) -> str:
-    """Return the smallest of the effects that are not to be named, see `distinct_values`; "" for none."""
-    firm, pieces = firm_names(found, values), loop_pieces(found.problem, values)
-    for k, name in reversed([*enumerate(values)]):
-        channels = found.problem.library[name].channels
-        smaller_loop = k > 0 and LOOPS.issuperset(channels)
-        if name in firm and (name in pieces or not smaller_loop):
-            continue
-        unseen = "requests" in channels and not found.problem.requested
-        if (name not in firm and (unseen or (smaller_loop and firm))) or not _shows_ahead(
-            found, values, name
-        ):
-            return name
-    return ""
+def _least_distinct(found: SetPosterior, values: FittedValues) -> str | None:
+    """Return the smallest of the effects that are not distinct; `values` has the largest first."""
+    firm = firm_names(found, values)
+    return next((name for name in reversed(values) if not _is_distinct(found, values, name, firm)), None)
+
+
+def _is_distinct(found: SetPosterior, values: FittedValues, name: str, firm: Set[str]) -> bool:
+    """Return whether an effect is to be named: it must have a firm size, or show one second ahead.
+
+    Without either, other effects explain it. A change of the loops alone, beside a larger effect, must have
+    both, as no loop is quite of the modelled form and the vehicle's constants are estimated again; the latter
+    alone is enough only if no other effect is firm. A moment must have a firm size, unless the motors'
+    requests were logged.
+    """
+    channels = found.problem.library[name].channels
+    beside_larger = name != next(iter(values)) and LOOPS.issuperset(channels)
+    if name in firm:
+        is_piece = name in loop_pieces(found.problem, values)  # all pieces have one size
+        return is_piece or not beside_larger or _shows_ahead(found, values, name)
+    unseen_moment = "requests" in channels and not found.problem.requested
+    if unseen_moment or (beside_larger and firm):
+        return False
+    return _shows_ahead(found, values, name)
 
 
 def firm_names(found: SetPosterior, values: Values) -> set[str]:
@@ -204,11 +226,11 @@ def judged_by(effect: Effect, values: Mapping[str, float]) -> list[int]:
 
 def _shows_ahead(found: SetPosterior, values: FittedValues, name: str) -> bool:
     """Return whether an error one second ahead grows by USEFUL without an effect, others fitted again."""
-    by = judged_by(found.problem.library[name], values[name])
-    if not by:
+    errors = judged_by(found.problem.library[name], values[name])
+    if not errors:
         return False
-    sets = (frozenset(values), frozenset(values) - {name})
-    here, without = (fitted_to_others(found, names).pose_errors[by] for names in sets)
+    names = frozenset(values)
+    here, without = (fitted_to_others(found, n).pose_errors[errors] for n in (names, names - {name}))
     return bool((without > (1.0 + thresholds.USEFUL) * here).any())
 
 
@@ -220,7 +242,7 @@ def fitted_to_others(found: SetPosterior, names: EffectSet) -> Refit:
 def fitted_values(found: SetPosterior, names: EffectSet) -> FittedValues:
     """Return the values of a set of effects."""
     problem = found.problem
-    values = posterior_mode(problem, found.local.with_wide_slabs(names), names)
+    values = posterior_mode(problem, found.local.for_sizes_of(names), names)
     if problem.identified:
         return values
     # Far from the nominal vehicle, spikes of other effects would take a share.
@@ -266,14 +288,14 @@ def corrected(found: SetPosterior, values: FittedValues) -> Refit:
 
     All effects of an identified vehicle are estimated again where that predicts flights left out better.
     """
-    problem, names, named = found.problem, frozenset(values), Refit.of(found, values)
+    problem, names, named_alone = found.problem, frozenset(values), Refit.of(found, values)
     if not (problem.identified and values):
-        return named
+        return named_alone
     again, local = fit_vehicle(problem, found.spread, values, names)
     moved = vehicles_a_half_width_away(problem, local, names, again)
     widths = field_half_widths(problem.vehicle, problem.corrected(again), moved)
-    whole = Refit(problem, again, leave_one_out_modes(problem, local, names), widths)
-    return min(named, whole, key=Refit.error_ahead)
+    all_again = Refit(problem, again, leave_one_out_modes(problem, local, names), widths)
+    return min(named_alone, all_again, key=Refit.error_ahead)
 
 
 def regime_errors(correction: Refit, heldout: Sequence[MeasuredFlight]) -> tuple[RegimeError, ...]:

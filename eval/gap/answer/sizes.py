@@ -16,7 +16,7 @@ from inclined_landing.eval.gap.model.columns import Candidates, Column, Paramete
 from inclined_landing.eval.gap.model.fitting import fitting
 from inclined_landing.eval.gap.model.prediction import UNITS_OF, channels_of
 from inclined_landing.eval.gap.model.problem import Problem
-from inclined_landing.eval.gap.result import Disturbance, Estimate
+from inclined_landing.eval.gap.result import Disturbance, Estimate, Quantity
 from inclined_landing.models import forces
 from inclined_landing.models.attitude_loops import angle_steps
 from inclined_landing.models.vehicle import Vehicle
@@ -29,7 +29,7 @@ WEIGHT = ("thrust_scale", "thrust_bias", "thrust_curve", "battery_sag", "mass", 
 def estimates(found: SetPosterior, values: Values) -> dict[str, dict[str, Estimate]]:
     """Return effect -> parameter -> its estimate, the other effects marginalised."""
     problem = found.problem
-    sized = found.local.with_wide_slabs(frozenset(values)).estimates(values)
+    sized = found.local.for_sizes_of(frozenset(values)).estimates(values)
     result: dict[str, dict[str, Estimate]] = {name: {} for name in values}
     for name in values:
         for p in problem.library[name].parameters:
@@ -103,9 +103,17 @@ def response(found: SetPosterior, values: Values, pieces: Sequence[str]) -> Esti
     def response(at: Values) -> float:
         return step_response_time(found.problem.corrected({n: at[n] for n in pieces}))
 
-    value, (low, high) = jointly(found, values, pieces, response)
-    ends, bounds = (max(0.0, low), high), (0.0, STEP_RESPONSE)
-    return Estimate(value, "s", ends, step_response_time(vehicle), bounds, False, (), 0.0)
+    time, (low, high) = jointly(found, values, pieces, response)
+    return Estimate(
+        value=time,
+        unit="s",
+        ci95=(max(0.0, low), high),
+        neutral=step_response_time(vehicle),
+        bounds=(0.0, STEP_RESPONSE),
+        at_bound=False,
+        per_flight=(),
+        spread=0.0,
+    )
 
 
 def step_response_time(vehicle: Vehicle) -> float:
@@ -122,9 +130,9 @@ def step_response_time(vehicle: Vehicle) -> float:
 
 def jointly(
     found: SetPosterior, values: Values, names: Sequence[str], of: Callable[[Values], float]
-) -> tuple[float, tuple[float, float]]:
-    """Return a quantity of some of the effects in `values`, the others marginalised, and its interval."""
-    local = found.local.with_wide_slabs(frozenset(values))
+) -> Quantity:
+    """Return a quantity of some of the effects in `values`, the others marginalised."""
+    local = found.local.for_sizes_of(frozenset(values))
     own = size_columns(found.problem, local, names)
     covariance = local.change(frozenset(values))[1] * np.outer(local.unit, local.unit)
     columns = [local.columns[k] for k in own]
@@ -143,8 +151,8 @@ def propagated(
     columns: Sequence[Column],
     covariance: np.ndarray,
     of: Callable[[Values], float],
-) -> tuple[float, tuple[float, float]]:
-    """Return a quantity of `values` and its 95 % interval, from the covariance along some columns."""
+) -> Quantity:
+    """Return a quantity of `values`, its interval from the covariance along some columns."""
     # Propagation of errors: var = g' C g, slopes g over a tenth of a standard error
     at, step = problem.coordinates(values, columns), 0.1 * np.sqrt(covariance.diagonal())
 
@@ -165,13 +173,13 @@ def propagated(
     here = of(values)
     slope = np.array([(moved(at + one) - here) / x for one, x in zip(np.diag(step), step)])
     half = half_width(problem, np.sqrt(slope @ covariance @ slope))
-    return here, (here - half, here + half)
+    return Quantity(here, (here - half, here + half))
 
 
-def product(found: SetPosterior, values: Values, name: str) -> tuple[float, tuple[float, float]]:
-    """Return the acceleration [m/s2] that an effect makes in hover, and its 95 % interval."""
+def product(found: SetPosterior, values: Values, name: str) -> Quantity:
+    """Return the acceleration [m/s2] that an effect makes in hover."""
     # The others as they are:  C = (a + V^-1)^-1
-    local = found.local.with_wide_slabs(frozenset(values))
+    local = found.local.for_sizes_of(frozenset(values))
     own = size_columns(found.problem, local, [name])
     information = local.a.sum(axis=0)[np.ix_(own, own)] + np.linalg.inv(local.slab[np.ix_(own, own)])
     covariance = np.linalg.inv(information) * np.outer(local.unit[own], local.unit[own])
@@ -181,11 +189,11 @@ def product(found: SetPosterior, values: Values, name: str) -> tuple[float, tupl
         return float(np.linalg.norm(found.problem.hover_acceleration(at) - without))
 
     value, (low, high) = propagated(found.problem, values, [local.columns[k] for k in own], covariance, made)
-    return value, (max(0.0, low), high)
+    return Quantity(value, (max(0.0, low), high))
 
 
-def thrust_over_weight(found: SetPosterior, values: Values) -> tuple[float, tuple[float, float]] | None:
-    """Return thrust over weight, over the modelled one, at the flights' usual command, and its interval.
+def thrust_over_weight(found: SetPosterior, values: Values) -> Quantity | None:
+    """Return thrust over weight, over the modelled one, at the flights' usual command.
 
     The interval covers the other probable sets too, and what the flights of an identified vehicle left
     uncertain of its own at this command. None where no named effect changes it, or one alone that is this
@@ -196,10 +204,10 @@ def thrust_over_weight(found: SetPosterior, values: Values) -> tuple[float, tupl
         return named
     value, (low, high) = named
     half = max(0.5 * (high - low), value * _reference_half_width(found.problem))
-    return value, (value - half, value + half)
+    return Quantity(value, (value - half, value + half))
 
 
-def thrust_of_names(found: SetPosterior, values: Values) -> tuple[float, tuple[float, float]] | None:
+def thrust_of_names(found: SetPosterior, values: Values) -> Quantity | None:
     """Return `thrust_over_weight` with the identified vehicle's taken as known."""
     problem, names = found.problem, [name for name in WEIGHT if name in values]
     ratios = [name for name in names if problem.library[name].parameters[0].neutral == 1.0]
@@ -209,7 +217,7 @@ def thrust_of_names(found: SetPosterior, values: Values) -> tuple[float, tuple[f
     # Var = Var within the named set + sum_s p_s (r_s - r)^2 over the sets s
     apart = sum(one.probability * (_thrust_ratio(problem, one.values) - value) ** 2 for one in found.sets)
     half = math.hypot(0.5 * (high - low), ndtri(0.975) * math.sqrt(apart))
-    return value, (value - half, value + half)
+    return Quantity(value, (value - half, value + half))
 
 
 def _thrust_ratio(problem: Problem, at: Values, vehicle: Vehicle | None = None) -> float:

@@ -199,26 +199,28 @@ class LinearGaussian:
             flight_b=flight_b * unit,
         )
 
-    def with_wide_slabs(self, names: EffectSet) -> LinearGaussian:
-        """Return the model with slabs LARGE times as wide for large effects of a set, for their sizes.
+    def for_sizes_of(self, names: EffectSet) -> LinearGaussian:
+        """Return the model from which sizes of a set are read: large effects have slabs LARGE times as wide.
 
-        With the usual slab the errors of the identified vehicle would take a share of every large effect. The
-        slab stays for effects that compensate one another: flights show only their sum, and wide slabs would
-        let both grow.
+        With the usual slab, the errors of the identified vehicle would take a share of every large effect. An
+        effect is large if its mode exceeds its slab's standard deviation. Its slab stays if the flights do
+        not show it apart from the others of the set, so that its standard error would exceed the usual slab:
+        wide slabs would let effects that compensate one another all grow.
         """
         slab = np.sqrt(self.slab.diagonal())
-        own = np.array([k for k in self.index(names) if isinstance(self.columns[k], ParameterColumn)], int)
-        large = own[np.abs(self.bounded_mode(names)[own]) > slab[own]]
+        of_set = np.array([k for k in self.index(names) if isinstance(self.columns[k], ParameterColumn)], int)
+        large = of_set[np.abs(self.bounded_mode(names)[of_set]) > slab[of_set]]
 
-        def widened(columns: np.ndarray) -> np.ndarray:
-            wide = np.where(np.isin(np.arange(len(slab)), columns), LARGE, 1.0)
-            return np.outer(wide, wide) * self.slab
+        def with_wide(columns: np.ndarray) -> np.ndarray:
+            """Return the slabs' covariance (P, P), those of some columns widened."""
+            times = np.where(np.isin(np.arange(len(slab)), columns), LARGE, 1.0)
+            return np.outer(times, times) * self.slab
 
-        # The vehicle and all formulas as they are:  C = (a + V^-1)^-1
-        of_set = np.ix_(own, own)
-        information = self.a.sum(axis=0)[of_set] + np.linalg.inv(widened(large)[of_set])
-        shown = own[np.linalg.inv(information).diagonal() < slab[own] ** 2]
-        return dataclasses.replace(self, slab=widened(np.intersect1d(large, shown)))
+        # Covariance of the set's sizes, the vehicle and all formulas as they are:  C = (a + V^-1)^-1
+        square = np.ix_(of_set, of_set)
+        information = self.a.sum(axis=0)[square] + np.linalg.inv(with_wide(large)[square])
+        apart = of_set[np.linalg.inv(information).diagonal() < slab[of_set] ** 2]
+        return dataclasses.replace(self, slab=with_wide(np.intersect1d(large, apart)))
 
     def index(self, names: Iterable[str]) -> np.ndarray:
         """Return the indices of the columns of the effects `names`."""

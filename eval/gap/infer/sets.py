@@ -62,8 +62,8 @@ class FittedSet:
 
     names: EffectSet
     values: FittedValues  # posterior mode: one Newton step beyond the linearisation
-    local: LinearGaussian  # the model linearised
-    screen: Evidence  # log marginal likelihoods of other sets, predicted from this linearisation
+    local: LinearGaussian  # the linearisation
+    evidence: Evidence  # log marginal likelihood of any set, by this linearisation
     score: float  # log posterior probability, up to a constant
 
 
@@ -135,33 +135,30 @@ def log_prior(problem: Problem, names: EffectSet) -> float:
 def _fit_set(
     problem: Problem, spread: Spread, names: EffectSet, start: Values, rough_below: float = -math.inf
 ) -> FittedSet:
-    """Return the posterior mode of a set by Newton's method from `start`, with its linearisation.
+    """Return the most probable of the fits of a set by Newton's method from `start`.
 
-    A step after which the set is less probable is halved. rough_below: log posterior probability below which
-    a single step is enough.
+    Each step linearises the flights and leads to the posterior mode. If that is less probable than the best,
+    the step before is halved. rough_below: log posterior probability below which a single step is enough.
     """
-    new = {n: {**problem.library[n].neutral, **start.get(n, {})} for n in problem.library if n in names}
-    best, beside = None, FittedValues()
+    values = {n: {**problem.library[n].neutral, **start.get(n, {})} for n in problem.library if n in names}
+    best, outside = None, FittedValues()  # values of effects that are not in the set
     for _ in range(NEWTON_STEPS):
-        values = new
         columns = problem.all_columns() + problem.form_columns(values)
-        around = {**beside, **values}
-        local = LinearGaussian.of(problem, spread, problem.linearise(around, columns))
-        new = posterior_mode(problem, local, names)
-        beside = _requested(problem, local, names)
-        screen = local.evidence()
-        score = screen(names) + log_prior(problem, names) if _all_nonzero(problem, names, new) else -np.inf
-        at, step = problem.coordinates(values, columns), problem.coordinates(new, columns)
-        step = step - at
+        local = LinearGaussian.of(problem, spread, problem.linearise({**outside, **values}, columns))
+        mode, evidence = posterior_mode(problem, local, names), local.evidence()
+        outside = _requested(problem, local, names)
+        score = evidence(names) + log_prior(problem, names) if _all_nonzero(problem, names, mode) else -np.inf
+        here, following = problem.coordinates(values, columns), mode
+        step = problem.coordinates(mode, columns) - here
         if best is None or score > best.score:
-            best = FittedSet(names, new, local, screen, score)
+            best = FittedSet(names, mode, local, evidence, score)
         elif np.isfinite(best.score):
-            back = problem.coordinates(best.local.values, columns)
-            new = problem.values_at(names, columns, 0.5 * (back + at))
-            step = at - back
-        least = np.array([problem.parameter(c).negligible for c in columns])
-        if np.abs(step / least).max() < STEP_TOLERANCE or score < rough_below:
+            best_at = problem.coordinates(best.local.values, columns)
+            following, step = problem.values_at(names, columns, 0.5 * (best_at + here)), here - best_at
+        negligible = np.array([problem.parameter(c).negligible for c in columns])
+        if np.abs(step / negligible).max() < STEP_TOLERANCE or score < rough_below:
             break
+        values = following
     assert best is not None
     return best
 
@@ -289,7 +286,7 @@ def _greedy_search(
         for node in (nodes[n] for n in sorted({frozenset(), best.names} - expanded, key=len)):
             expanded.add(node.names)
             for names in _neighbours(problem, node):
-                predicted[names] = (node.screen(names) + log_prior(problem, names), node)
+                predicted[names] = (node.evidence(names) + log_prior(problem, names), node)
             for name, (start, gain) in _far_starts(problem, node.values).items():
                 others = [n for n in problem.library[name].confused_with if n in node.names]
                 for names in (node.names | {name}, *(node.names - {n} | {name} for n in others)):
@@ -346,7 +343,7 @@ def _exchange_candidates(
         rest = best.names - {name}
         node = nodes.get(rest, best)  # adding is more nearly linear than exchanging
         swaps = [rest | {n} for n in problem.library if n not in best.names]
-        swaps = sorted(swaps, key=lambda names: -node.screen(names))[:EXCHANGES]
+        swaps = sorted(swaps, key=lambda names: -node.evidence(names))[:EXCHANGES]
         result += [names for names in swaps if names not in nodes]
     return result
 
@@ -361,7 +358,8 @@ def _bagged_posterior(
     """
     nodes = dict(nodes)
     weights = flight_weights(problem.groups)
-    scores = {n: best.screen(n) + log_prior(problem, n) for n in _neighbours(problem, best) if n not in nodes}
+    others = [n for n in _neighbours(problem, best) if n not in nodes]
+    scores = {n: best.evidence(n) + log_prior(problem, n) for n in others}
     starts = {
         n: _linear_estimate(problem, best, n) for n, x in scores.items() if x > best.score - COMPARE_WITHIN
     }

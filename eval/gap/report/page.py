@@ -60,17 +60,27 @@ def page(
 
     track: the flight that its figure shows; images: those of `figures`; notes: sentences on the logs.
     """
-    change = Section("change", "What to change", words.causes(d), [], [effect_table(d)])
-    change.figures = dict.fromkeys(images, caption(track))
-    if d.effects:
-        change.remarks = [_USE]
+    figures = dict.fromkeys(images, caption(track))
+    heldout = [name for name in d.heldout if name not in d.flights]
+    probabilities = Table("", ("effect", "probability"), probability_rows(d))
     sections = [
-        change,
-        Section("error", "Remaining error", "", [], _error_tables(d)),
-        *limits(d, notes, [name for name in d.heldout if name not in d.flights]),
         Section(
-            *("probabilities", "Probabilities", "Each is the sum over all sets of effects with it.", []),
-            [Table("", ("effect", "probability"), probability_rows(d))],
+            "change",
+            "What to change",
+            words.causes(d),
+            claims=[],
+            tables=[effect_table(d)],
+            figures=figures,
+            remarks=[_USE] if d.effects else [],
+        ),
+        Section("error", "Remaining error", "", claims=[], tables=_error_tables(d)),
+        *limits(d, notes, heldout),
+        Section(
+            "probabilities",
+            "Probabilities",
+            "Each is the sum over all sets of effects with it.",
+            claims=[],
+            tables=[probabilities],
         ),
     ]
     return fill_in(sections, d, "gap", words.headline(d), words.how_much(d), versions, images)
@@ -157,8 +167,8 @@ def limits(
     """Return the sections on what limits an answer, and on its flights."""
     evaluated = f"Held out: {', '.join(heldout)}." if heldout else "Each is evaluated by a fit to the others."
     return (
-        Section("limits", "Limits", words.notes(found.notes, notes), []),
-        Section("flights", "Flights", f"Fitted: {', '.join(found.flights)}. {evaluated}", []),
+        Section("limits", "Limits", words.notes(found.notes, notes), claims=[]),
+        Section("flights", "Flights", f"Fitted: {', '.join(found.flights)}. {evaluated}", claims=[]),
     )
 
 
@@ -344,8 +354,15 @@ def _name_ends(axis: Axes, ends, top: float) -> None:
     for height, (value, text, colour) in zip(heights, ends):
         arrow = {"arrowstyle": "-", "color": colour, "linewidth": 0.7, "shrinkA": 1, "shrinkB": 0}
         axis.annotate(
-            *(text, (1.0, value), (1.035, height), beside, beside, arrow | {"relpos": (0, 0.5)}),
-            **{"fontsize": 8.5, "color": colour, "va": "center"},
+            text,
+            xy=(1.0, value),
+            xytext=(1.035, height),
+            xycoords=beside,
+            textcoords=beside,
+            arrowprops=arrow | {"relpos": (0, 0.5)},
+            fontsize=8.5,
+            color=colour,
+            va="center",
         )
 
 

@@ -295,7 +295,7 @@ def product_sentence(e: NamedEffect) -> str:
     """Return a sentence on the product of sizes that the flights see; empty where they see the size."""
     if e.product is None:
         return ""
-    number, ends = quantity(e.product[0], "m/s2"), interval(e.product[1], "m/s2")
+    number, ends = quantity(e.product.value, "m/s2"), interval(e.product.ci95, "m/s2")
     what, _, then = LIBRARY[e.name].product.partition("; ")
     return f"The flights determine only {what}, {number} ({ends}) in hover; {then}."
 

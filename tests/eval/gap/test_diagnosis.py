@@ -166,7 +166,7 @@ def test_what_no_effect_explains_is_said():
         return np.array([u[0], *angles, u[3]])
 
     d = quick(flights(distort=dead_zone, seed=5, count=3, seconds=6.0))
-    assert d.verdict == ("effects" if d.explained > d.residual.repeats else "unknown")
+    assert d.verdict == ("effects" if d.explained > d.residual.repeating else "unknown")
     assert d.residual.unexplained and "repeats from flight to flight" in how_much(d)
     assert {"tilt", "commands", "tilt commands and their past"} & {x.on for x in d.residual.depends_on}
     assert {"roll", "pitch"} & {x.channel for x in d.residual.depends_on}
@@ -187,7 +187,7 @@ def test_a_speed_of_wind_is_known_no_better_than_drag_at_other_speeds():
     values = {"wind": {"x": 3.0, "y": 0.0}, "mass": {"scale": 1.2}}
     keys = [("wind", "x"), ("wind", "y"), ("mass", "scale")]
     local = SimpleNamespace(estimates=lambda _: dict.fromkeys(keys, known))
-    local.with_wide_slabs = lambda _: local
+    local.for_sizes_of = lambda _: local
     found = SimpleNamespace(problem=SimpleNamespace(groups=8, library=LIBRARY, flights=[None]), local=local)
     sized = sizes.estimates(found, values)
     flown, factor = stats.t.ppf(0.975, 7) * 0.1, 1.96 * 0.3
@@ -211,7 +211,7 @@ def test_no_lag_is_judged_in_a_strong_wind(monkeypatch):
     monkeypatch.setattr(pipeline, "estimate_noise", lambda problem: (problem, {}))
     monkeypatch.setattr(pipeline, "in_strong_wind", lambda found: True)
     monkeypatch.setattr(pipeline, "inconsistent_flights", lambda *_: ())
-    monkeypatch.setattr(pipeline, "relevant_values", _stop)
+    monkeypatch.setattr(selection, "relevant_values", _stop)
     with pytest.raises(StopIteration):
         diagnose(flights(count=2, seconds=3.0), VEHICLE)
     calm, windy = searched

@@ -168,7 +168,7 @@ def test_sizes_are_freed_where_the_flights_show_them(local, alike):
         theta_mean=np.zeros(8),
         at=np.zeros(8),
     )
-    widened = case.with_wide_slabs(frozenset("ab")).slab.diagonal() > one.slab.diagonal()
+    widened = case.for_sizes_of(frozenset("ab")).slab.diagonal() > one.slab.diagonal()
     assert widened[[0, 2]].tolist() == [not alike] * 2 and not widened[[1, 3, 4, 5, 6, 7]].any()
 
 

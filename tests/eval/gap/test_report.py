@@ -35,7 +35,7 @@ from inclined_landing.eval.gap.result import (
     RegimeError,
     ResidualAnalysis,
     ScoredSet,
-    least_cost,
+    cost_beyond_doubt,
 )
 from inclined_landing.models import effects
 from inclined_landing.models.base import storage
@@ -210,8 +210,8 @@ def test_unknown_stands_beside_names_where_much_repeats():
     ):
         assert case.verdict == verdict
     own = repeating(0.09, 0.1, reference=0.105)  # effects of less than 9 cm / sqrt(1/2) are in doubt
-    assert least_cost(own.residual, own.gap["analytic"], own.reference) == pytest.approx(0.127, abs=5e-4)
-    assert least_cost(own.residual, own.gap["analytic"], None) == np.inf
+    assert cost_beyond_doubt(own.residual, own.ahead, own.reference) == pytest.approx(0.127, abs=5e-4)
+    assert cost_beyond_doubt(own.residual, own.ahead, None) == np.inf
     past = dataclasses.replace(one, channel="roll", against="roll command 0.25 s ago", displacement=0.05)
     residual = dataclasses.replace(d.residual, depends_on=(past,), error=0.1)
     text = words.how_much(dataclasses.replace(d, residual=residual))
@@ -248,19 +248,19 @@ def test_an_axis_is_worse_where_every_flight_says_so():
 
 
 def test_a_name_is_doubted_where_the_reference_is_wrong_by_more_than_it_moves():
-    def doubt(along, doubtful=False, cancelled=False, name="wind", requested=False, **worse):
+    def doubt(along, too_small=False, cancelled=False, name="wind", requested=False, **worse):
         flights = [SimpleNamespace(shows_lags=True)]
         errors = dataclasses.replace(ALIKE, worse=worse)
         reference = SimpleNamespace(errors=errors)
         problem = SimpleNamespace(flights=flights, reference=reference, library=LIBRARY, requested=requested)
-        return pipeline._doubt(problem, name, along, doubtful, cancelled)
+        return pipeline._doubt(problem, name, along, too_small, cancelled)
 
     along = {"x": 0.05, "y": 0.01, "z": 0.0}
     assert not doubt(along) and not doubt(along, y=(0.01, 0.03)) and not doubt(along, x=(0.01, 0.03))
     assert "predicts x of its own flights worse" in doubt(along, x=(0.02, 0.06))
     assert "(6.0 cm for 2.0 cm one second ahead)" in doubt(along, x=(0.02, 0.06))
     assert "predicts position of its own" in doubt(along, position=(0.02, 0.06))
-    assert "leave more than noise" in doubt(along, doubtful=True)
+    assert "leave more than noise" in doubt(along, too_small=True)
     assert "thrust over weight as modelled" in doubt(along, cancelled=True)
     for moment in ("com_offset", "weak_rotor_1"):
         assert "the requests of the motors" in doubt(along, name=moment)
@@ -283,7 +283,7 @@ def test_a_load_may_be_a_mass_where_no_swing_shows(monkeypatch):
     def refit(found, names):
         return SimpleNamespace(pose_errors=np.array([errors[n] for n in names]))
 
-    monkeypatch.setattr(pipeline, "fitted_to_others", refit)
+    monkeypatch.setattr(selection, "fitted_to_others", refit)
     library = {n: LIBRARY[n] for n in errors}
     found, values = SimpleNamespace(problem=SimpleNamespace(library=library)), {"mass": 0.004, "length": 0.5}
     assert pipeline._predicting_as_well(found, {"slung_load": values}, "slung_load") == ["mass"]
