@@ -222,7 +222,7 @@ class Effect:
     parameters. A parameter without any is added to the entry of the table `effects` that has the effect's
     name, or to one of its numbers where there are several parameters.
 
-    Other effects are referred to by name. `eval/gap/model/fitting.py` defines how an effect is fitted.
+    Other effects are referred to by name. `eval/gap/model/columns.py` defines how an effect is fitted.
     """
 
     name: str

@@ -19,8 +19,8 @@ from inclined_landing.eval.flying.tracking import thrust_and_angles
 from inclined_landing.eval.gap import diagnose, thresholds
 from inclined_landing.eval.gap.answer.identification import Identification, identify
 from inclined_landing.eval.gap.plan import SECONDS, design, pieces
+from inclined_landing.eval.gap.plan.pieces import Setpoints
 from inclined_landing.eval.gap.plan.reading import PlanInput
-from inclined_landing.eval.gap.plan.setpoints import Setpoints
 from inclined_landing.eval.gap.result import Diagnosis
 from inclined_landing.models.base.errors import UserError
 from inclined_landing.models.parameters import load_vehicle

@@ -3,7 +3,7 @@
 import numpy as np
 
 from inclined_landing.eval.gap.plan import pieces
-from inclined_landing.eval.gap.plan.setpoints import setpoints
+from inclined_landing.eval.gap.plan.pieces import setpoints
 from inclined_landing.models.parameters import load_vehicle
 from tests.validation import plan_loop, simulator
 from tests.validation.simulator import control

@@ -9,9 +9,8 @@ import numpy as np
 
 from inclined_landing.eval.gap import thresholds
 from inclined_landing.eval.gap.flights.landings import LandingReference
-from inclined_landing.eval.gap.infer.bounds import truncated_mode
 from inclined_landing.eval.gap.infer.fit import deviance
-from inclined_landing.eval.gap.infer.gaussian import LinearGaussian, Spread
+from inclined_landing.eval.gap.infer.gaussian import LinearGaussian, Spread, truncated_mode
 from inclined_landing.eval.gap.infer.residual import reference_residual, white_residuals
 from inclined_landing.eval.gap.model.columns import BASE, BaseColumn, slab_deviations
 from inclined_landing.eval.gap.model.problem import Problem, identifiable_effects

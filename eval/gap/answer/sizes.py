@@ -12,8 +12,14 @@ from scipy.special import ndtri, stdtrit
 from inclined_landing.eval.gap import thresholds
 from inclined_landing.eval.gap.infer.gaussian import LinearGaussian
 from inclined_landing.eval.gap.infer.sets import SetPosterior
-from inclined_landing.eval.gap.model.columns import Candidates, Column, ParameterColumn, Values, at_an_end
-from inclined_landing.eval.gap.model.fitting import fitting
+from inclined_landing.eval.gap.model.columns import (
+    Candidates,
+    Column,
+    ParameterColumn,
+    Values,
+    at_an_end,
+    fitting,
+)
 from inclined_landing.eval.gap.model.prediction import UNITS_OF, channels_of
 from inclined_landing.eval.gap.model.problem import Problem
 from inclined_landing.eval.gap.result import Disturbance, Estimate, Quantity

@@ -16,8 +16,7 @@ from inclined_landing.eval.gap.flights.landings import (
     landings_of,
 )
 from inclined_landing.eval.gap.flights.usable import UsableFlights
-from inclined_landing.eval.gap.infer import contact_laws
-from inclined_landing.eval.gap.infer.contact import ContactPosterior, contact_posterior
+from inclined_landing.eval.gap.infer.contact import ContactPosterior, contact_posterior, look_alike
 from inclined_landing.eval.gap.infer.sets import confounded_with
 from inclined_landing.eval.gap.infer.touchdown_simulation import TouchdownProblem, position_errors
 from inclined_landing.eval.gap.result import (
@@ -122,7 +121,7 @@ def contact_effects(problem: TouchdownProblem, found: ContactPosterior) -> tuple
 def _look_alike(problem: TouchdownProblem, name: str, value: float) -> tuple[str, ...]:
     """Return the effects of the problem that look like one at a value under another law of contact."""
     (p,) = problem.library[name].parameters
-    others = contact_laws.look_alike(name, p.coordinate(value) / abs(p.coordinate(p.plausible)))
+    others = look_alike(name, p.coordinate(value) / abs(p.coordinate(p.plausible)))
     return tuple(n for n in others if n in problem.library)
 
 

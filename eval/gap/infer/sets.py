@@ -26,8 +26,12 @@ from inclined_landing.eval.gap.infer.gaussian import (
     Spread,
     flight_weights,
 )
-from inclined_landing.eval.gap.model.columns import FittedValues, ParameterColumn, Values
-from inclined_landing.eval.gap.model.fitting import fitting
+from inclined_landing.eval.gap.model.columns import (
+    FittedValues,
+    ParameterColumn,
+    Values,
+    fitting,
+)
 from inclined_landing.eval.gap.model.problem import Linearisation, Problem
 from inclined_landing.eval.gap.result import ScoredSet, marginal
 

@@ -27,8 +27,9 @@ from inclined_landing.eval.gap.model.columns import (
     FormColumn,
     ParameterColumn,
     Values,
+    Variation,
+    fitting,
 )
-from inclined_landing.eval.gap.model.fitting import Variation, fitting
 from inclined_landing.eval.gap.model.prediction import (
     CHANNEL_GROUPS,
     CHANNELS,

@@ -11,10 +11,9 @@ from threadpoolctl import threadpool_limits
 
 from inclined_landing.eval.gap.plan import SECONDS, pieces, safety
 from inclined_landing.eval.gap.plan.information import ModelDiscrimination, ScoredSet
-from inclined_landing.eval.gap.plan.pieces import Path, Piece, Space
+from inclined_landing.eval.gap.plan.pieces import Path, Piece, Setpoints, Space, setpoints
 from inclined_landing.eval.gap.plan.reading import PlanInput
 from inclined_landing.eval.gap.plan.safety import Flown
-from inclined_landing.eval.gap.plan.setpoints import Setpoints, setpoints
 from inclined_landing.models.base.errors import UserError
 from inclined_landing.models.threads import two_at_a_time
 

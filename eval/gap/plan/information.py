@@ -21,7 +21,7 @@ from inclined_landing.eval.gap.infer.gaussian import BETWEEN, SPIKE
 from inclined_landing.eval.gap.model.columns import Candidates, ParameterColumn, Values
 from inclined_landing.eval.gap.model.prediction import predict
 from inclined_landing.eval.gap.model.reference import VehiclePosterior
-from inclined_landing.eval.gap.plan.setpoints import Setpoints
+from inclined_landing.eval.gap.plan.pieces import Setpoints
 from inclined_landing.eval.gap.result import ScoredSet
 from inclined_landing.eval.logs import FlightLog
 from inclined_landing.models.effects import LIBRARY

@@ -1,7 +1,8 @@
 """Manoeuvres ("pieces"): hover, turns, doublets, runs, climbs, low passes ... each smooth, from rest to rest.
 
 A piece is a kind with a value for each of its parameters, within bounds. Pieces are joined by moves from rest
-to rest; the whole is a `Path`.
+to rest; the whole is a `Path`, from which the set-points and feed-forward commands of a vehicle follow
+(differential flatness).
 """
 
 from __future__ import annotations
@@ -14,6 +15,8 @@ import numpy as np
 import scipy  # whose submodules are imported when they are used
 from scipy.ndimage import gaussian_filter1d
 
+from inclined_landing.eval.flying.tracking import Trajectory, thrust_and_angles
+from inclined_landing.eval.logs import FlightLog
 from inclined_landing.models.base.errors import UserError
 from inclined_landing.models.geometry import Shapes, shapes_of
 from inclined_landing.models.scene import compile_scene
@@ -27,7 +30,7 @@ MOVE_SPEED, MOVE_ACCELERATION, TURN_RATE = 1.2, 3.0, 1.0  # m/s, m/s2, rad/s, at
 # Peak speed and acceleration of `_minimum_snap` over unit length in unit time.
 _PEAK_SPEED, _PEAK_ACCELERATION = 35.0 / 16.0, 84.0 / (5.0 * math.sqrt(5.0))
 
-Trajectory = tuple[np.ndarray, np.ndarray]  # position (m, 3) [m], heading (m,) [rad] at RATE
+Way = tuple[np.ndarray, np.ndarray]  # position (m, 3) [m], heading (m,) [rad] at RATE
 
 
 @dataclasses.dataclass(frozen=True)
@@ -67,7 +70,7 @@ class Kind:
 
     template: str  # {parameter} stands for its value, angles in degrees
     bounds: Mapping[str, tuple[float, float]]
-    make: Callable[..., Trajectory]  # of the space and the parameters
+    make: Callable[..., Way]  # of the space and the parameters
     near: bool = False  # goes closer to a surface than MARGIN
 
 
@@ -117,7 +120,7 @@ class Piece:
         }
         return KINDS[self.kind].template.format(**shown)
 
-    def trajectory(self, space: Space) -> Trajectory:
+    def trajectory(self, space: Space) -> Way:
         """Return the trajectory of the piece."""
         return KINDS[self.kind].make(space, **self.parameters)
 
@@ -204,6 +207,57 @@ def single_path(piece: Piece, space: Space) -> Path:
     return Path(position, yaw, (Span(piece, 0.0, len(yaw) / RATE),))
 
 
+@dataclasses.dataclass(frozen=True)
+class Setpoints(Trajectory):
+    """The trajectory of a path, with the feed-forward commands that track it with the nominal vehicle."""
+
+    path: Path
+
+    def log(self, name: str, noise: np.ndarray) -> FlightLog:
+        """Return the flight as tracked perfectly and measured with noise (6,) [m, rad], seed 0."""
+        rng = np.random.default_rng(0)
+        measured = np.hstack([self.position, self.attitude])
+        measured = measured + noise * rng.standard_normal(measured.shape)
+        untouched = np.zeros(len(measured), bool)
+        return FlightLog(name, self.t, measured[:, :3], measured[:, 3:], self.command, contact=untouched)
+
+
+def setpoints(path: Path, vehicle: Vehicle) -> Setpoints:
+    """Return the path with the feed-forward commands of `vehicle`: lags and delays inverted, drag ignored."""
+    # Thrust lag (first order):  u = PWM + dPWM/dt / rate.  Attitude loop (second order, gain k):
+    #   u = [angle + 2 zeta (tau + 1/B) / 2 d(angle)/dt + tau/B d2(angle)/dt2] / k
+    v, dt = vehicle, 1.0 / RATE
+    velocity = np.gradient(path.position, dt, axis=0)
+    acceleration = np.gradient(velocity, dt, axis=0)
+    size, angles = thrust_and_angles(acceleration, path.yaw, v.environment_gravity)
+    rates = np.gradient(angles, dt, axis=0)
+    second_rates = np.gradient(rates, dt, axis=0)
+    tau, bandwidth = v.attitude_time_constant, v.attitude_bandwidth
+    lag = v.attitude_damping * (tau + 1.0 / bandwidth)
+    lead = (lag * rates + tau / bandwidth * second_rates) / v.attitude_gain
+    pwm = v.hover_pwm * size / v.environment_gravity
+    lag_compensation = np.gradient(pwm, dt) / v.thrust_lag_rate
+    angle_commands = _ahead(angles / v.attitude_gain + lead, v.effects_attitude_delay)
+    turn = np.gradient(path.yaw, dt)
+    turn = turn + np.gradient(turn, dt) / v.attitude_yaw_bandwidth
+    limit, rate_limit = v.command_angle_limit, v.command_yaw_rate_limit
+    command = np.column_stack(
+        [
+            np.clip(_ahead(pwm + lag_compensation, v.effects_thrust_delay), *v.command_pwm_range),
+            np.clip(angle_commands, -limit, limit),
+            np.clip(_ahead(turn, v.effects_attitude_delay), -rate_limit, rate_limit),
+        ]
+    )
+    attitude = np.column_stack([angles, path.yaw])
+    return Setpoints(path.t, path.position, attitude, command, velocity, acceleration, path)
+
+
+def _ahead(values: np.ndarray, delay: float) -> np.ndarray:
+    """Return rows (m, ...) advanced by `delay` s, the last ones held."""
+    rows = round(delay * RATE)
+    return values[np.minimum(np.arange(len(values)) + rows, len(values) - 1)]
+
+
 def _rows(seconds: float) -> int:
     """Return the number of rows at RATE."""
     return max(1, round(seconds * RATE))
@@ -216,13 +270,13 @@ def _minimum_snap(seconds: float) -> np.ndarray:
     return u**4 * (35 - 84 * u + 70 * u**2 - 20 * u**3)
 
 
-def _hold(position, yaw: float, seconds: float) -> Trajectory:
+def _hold(position, yaw: float, seconds: float) -> Way:
     """Return a hover."""
     n = _rows(seconds)
     return np.tile(np.asarray(position, float), (n, 1)), np.full(n, yaw)
 
 
-def _line(a, b, yaw: float = 0.0, turned: float | None = None, speed: float = MOVE_SPEED) -> Trajectory:
+def _line(a, b, yaw: float = 0.0, turned: float | None = None, speed: float = MOVE_SPEED) -> Way:
     """Return a straight minimum-snap move from a to b within a peak speed [m/s] and MOVE_ACCELERATION."""
     a, b = np.asarray(a, float), np.asarray(b, float)
     turned = yaw if turned is None else turned
@@ -238,7 +292,7 @@ def _line(a, b, yaw: float = 0.0, turned: float | None = None, speed: float = MO
     return a + np.outer(s, b - a), yaw + s * (turned - yaw)
 
 
-def _concatenated(*ways: Trajectory) -> Trajectory:
+def _concatenated(*ways: Way) -> Way:
     """Return trajectories in sequence."""
     position, yaw = zip(*ways)
     return np.concatenate(position), np.concatenate(yaw)
@@ -264,41 +318,41 @@ def _doublet(seconds: float, *lags: float) -> np.ndarray:
     return steps
 
 
-def _integrated(start, acceleration: np.ndarray, yaw: float) -> Trajectory:
+def _integrated(start, acceleration: np.ndarray, yaw: float) -> Way:
     """Return the trajectory from rest at `start` under an acceleration (m, 3) whose integral ends at zero."""
     speed = np.cumsum(acceleration, axis=0) / RATE
     speed = speed - np.linspace(0.0, 1.0, len(speed))[:, None] * speed[-1]  # rounding of the durations
     return start + np.cumsum(speed, axis=0) / RATE, np.full(len(speed), yaw)
 
 
-def _hover(space: Space, heading: float, seconds: float) -> Trajectory:
+def _hover(space: Space, heading: float, seconds: float) -> Way:
     return _hold(space.home, heading, seconds)
 
 
-def _turn(space: Space, angle: float, rate: float) -> Trajectory:
+def _turn(space: Space, angle: float, rate: float) -> Way:
     s = _minimum_snap(_PEAK_SPEED * angle / rate)
     return np.tile(space.home, (len(s), 1)), angle * s
 
 
-def _tilts(space: Space, tilt: float, seconds: float, direction: float, heading: float) -> Trajectory:
+def _tilts(space: Space, tilt: float, seconds: float, direction: float, heading: float) -> Way:
     v = space.vehicle
     angle = v.attitude_gain * tilt * _doublet(seconds, v.attitude_time_constant, 1.0 / v.attitude_bandwidth)
     size = v.environment_gravity * np.tan(angle)
     return _integrated(space.home, np.outer(size, _horizontal(direction)), heading)
 
 
-def _thrusts(space: Space, size: float, seconds: float) -> Trajectory:
+def _thrusts(space: Space, size: float, seconds: float) -> Way:
     v = space.vehicle
     up = size * v.environment_gravity * _doublet(seconds, 1.0 / v.thrust_lag_rate)
     return _integrated(space.home, np.outer(up, [0.0, 0.0, 1.0]), 0.0)
 
 
-def _climb(space: Space, height: float, speed: float) -> Trajectory:
+def _climb(space: Space, height: float, speed: float) -> Way:
     low, high = space.home - [0, 0, 0.5 * height], space.home + [0, 0, 0.5 * height]
     return _concatenated(_line(low, high, speed=speed), _hold(high, 0.0, 0.2), _line(high, low, speed=speed))
 
 
-def _heave(space: Space, height: float, frequency: float) -> Trajectory:
+def _heave(space: Space, height: float, frequency: float) -> Way:
     """Return two and a half vertical oscillations, tapered at both ends."""
     t = np.arange(_rows(2.5 / frequency)) / RATE
     fade = np.sin(np.pi * np.clip(np.minimum(t, t[-1] - t) * frequency, 0.0, 0.5)) ** 2
@@ -306,13 +360,13 @@ def _heave(space: Space, height: float, frequency: float) -> Trajectory:
     return space.home + np.outer(z, [0.0, 0.0, 1.0]), np.zeros(len(t))
 
 
-def _run(space: Space, distance: float, speed: float, direction: float, heading: float) -> Trajectory:
+def _run(space: Space, distance: float, speed: float, direction: float, heading: float) -> Way:
     a, b = (space.home + side * 0.5 * distance * _horizontal(direction) for side in (-1, 1))
     there, back = _line(a, b, heading, speed=speed), _line(b, a, heading, speed=speed)
     return _concatenated(there, _hold(b, heading, 0.2), back)
 
 
-def _circle(space: Space, radius: float, speed: float, seconds: float, nose: float) -> Trajectory:
+def _circle(space: Space, radius: float, speed: float, seconds: float, nose: float) -> Way:
     """Return a circle around home from rest to rest; nose 0: constant heading, 1: tangential heading."""
     rate = np.convolve(np.ones(_rows(seconds)), np.diff(_minimum_snap(1.0), prepend=0.0))
     angle = np.cumsum(rate) / RATE * speed / radius
@@ -322,7 +376,7 @@ def _circle(space: Space, radius: float, speed: float, seconds: float, nose: flo
 
 def _low_manoeuvre(
     above: np.ndarray, low: np.ndarray, over: np.ndarray, heading: float, seconds: float
-) -> Trajectory:
+) -> Way:
     """Return a descent from `above` to `low`, a low move to `over`, and a climb."""
     up = over + (above - low)
     return _concatenated(
@@ -333,17 +387,17 @@ def _low_manoeuvre(
     )
 
 
-def _low_hover(space: Space, height: float, seconds: float, heading: float) -> Trajectory:
+def _low_hover(space: Space, height: float, seconds: float, heading: float) -> Way:
     low = np.array([*space.home[:2], height])
     return _low_manoeuvre(low + [0.0, 0.0, 0.35], low, low, heading, seconds)
 
 
-def _low_pass(space: Space, height: float, distance: float, direction: float) -> Trajectory:
+def _low_pass(space: Space, height: float, distance: float, direction: float) -> Way:
     low = np.array([*space.home[:2], height]) - 0.5 * distance * _horizontal(direction)
     return _low_manoeuvre(low + [0, 0, 0.35], low, low + distance * _horizontal(direction), 0.0, 0.3)
 
 
-def _slope_hover(space: Space, height: float, seconds: float, heading: float) -> Trajectory:
+def _slope_hover(space: Space, height: float, seconds: float, heading: float) -> Way:
     v = space.vehicle
     up = np.array([math.sin(v.platform_inclination), 0.0, math.cos(v.platform_inclination)])
     low = np.array([0.0, 0.0, v.platform_surface_height]) + height * up

@@ -17,8 +17,7 @@ from inclined_landing.envs.hover import TOLERANCE
 from inclined_landing.eval.flying.fence import beyond_fence
 from inclined_landing.eval.flying.tracking import Tracker
 from inclined_landing.eval.gap.plan.information import NoiseLevels
-from inclined_landing.eval.gap.plan.pieces import MARGIN, RATE, Space
-from inclined_landing.eval.gap.plan.setpoints import Setpoints
+from inclined_landing.eval.gap.plan.pieces import MARGIN, RATE, Setpoints, Space
 from inclined_landing.eval.logs import FlightLog
 from inclined_landing.models.attitude import LAG, PITCH, ROLL, STATE_SIZE, VX, YAW, X, Z, rotations
 from inclined_landing.models.geometry import reach_below

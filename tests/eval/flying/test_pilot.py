@@ -31,7 +31,7 @@ from inclined_landing.eval.flying.vehicle import Radio
 from inclined_landing.eval.flying.watchdog import Watchdog
 from inclined_landing.eval.gap.flights.windows import prepare
 from inclined_landing.eval.gap.plan import pieces
-from inclined_landing.eval.gap.plan.setpoints import setpoints
+from inclined_landing.eval.gap.plan.pieces import setpoints
 from inclined_landing.eval.logs import read_log
 from inclined_landing.eval.logs.log import GAP_SECONDS
 from inclined_landing.models.base.errors import UserError

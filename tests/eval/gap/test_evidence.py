@@ -15,9 +15,8 @@ from scipy.signal import lfilter
 from inclined_landing.eval.gap import thresholds
 from inclined_landing.eval.gap.flights.noise import estimate
 from inclined_landing.eval.gap.flights.windows import prepare, remove_tilt
-from inclined_landing.eval.gap.infer.bounds import Bounds, clipped, truncated_mode
 from inclined_landing.eval.gap.infer.fit import model_error_weights, variance_inflation
-from inclined_landing.eval.gap.infer.gaussian import LinearGaussian
+from inclined_landing.eval.gap.infer.gaussian import Bounds, LinearGaussian, clipped, truncated_mode
 from inclined_landing.eval.gap.infer.residual import _RidgeRegression, _sign_flips, gain_matrix
 from inclined_landing.eval.gap.infer.sets import (
     REDUNDANT,
@@ -29,14 +28,15 @@ from inclined_landing.eval.gap.infer.sets import (
 from inclined_landing.eval.gap.model.columns import (
     BASE,
     BASE_DEVIATIONS,
+    FITTING,
     LATE,
     SHAPE_COVARIANCE,
     BaseColumn,
     Candidates,
     FormColumn,
     ParameterColumn,
+    fitting,
 )
-from inclined_landing.eval.gap.model.fitting import FITTING, fitting
 from inclined_landing.eval.gap.model.prediction import predict
 from inclined_landing.eval.gap.model.problem import Problem
 from inclined_landing.eval.gap.model.reference import (

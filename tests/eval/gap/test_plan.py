@@ -14,8 +14,8 @@ from inclined_landing.eval.gap.model.reference import ReferenceResidual, Vehicle
 from inclined_landing.eval.gap.plan import doubt, pieces, safety
 from inclined_landing.eval.gap.plan.design import design
 from inclined_landing.eval.gap.plan.information import ModelDiscrimination, NoiseLevels
+from inclined_landing.eval.gap.plan.pieces import setpoints
 from inclined_landing.eval.gap.plan.reading import PlanInput, read_report
-from inclined_landing.eval.gap.plan.setpoints import setpoints
 from inclined_landing.eval.gap.result import REFERENCE, ScoredSet
 from inclined_landing.eval.logs import read_log
 from inclined_landing.models.base.errors import UserError
