@@ -16,6 +16,7 @@ from inclined_landing.eval.gap.answer.touchdown import contact_answer
 from inclined_landing.eval.gap.flights.usable import check_unused, usable_flights
 from inclined_landing.eval.gap.flights.windows import MeasuredFlight
 from inclined_landing.eval.gap.infer.fit import estimate_noise
+from inclined_landing.eval.gap.infer.gaussian import prior_share
 from inclined_landing.eval.gap.infer.heterogeneity import inconsistent_flights, summary_line
 from inclined_landing.eval.gap.infer.residual import analyse_residual
 from inclined_landing.eval.gap.infer.sets import SetPosterior, equivalence_class, search
@@ -301,7 +302,7 @@ def unidentifiable_sets(found: SetPosterior) -> tuple[ScoredSet, ...]:
     Such an effect keeps its prior odds and a plausible size.
     """
     problem, local, best = found.problem, found.local, found.sets[0]
-    share = 1.0 - thresholds.PRIOR_EMPTY ** (1.0 / len(problem.library))
+    share = prior_share(len(problem.library))
     scored = {one.names for one in found.sets}
     result = []
     for name, effect in problem.library.items():

@@ -11,6 +11,7 @@ import contextlib
 import dataclasses
 import math
 from collections.abc import Iterator, Mapping, Sequence
+from functools import cached_property
 
 import numpy as np
 from scipy.special import stdtrit
@@ -18,31 +19,34 @@ from threadpoolctl import threadpool_limits
 
 from inclined_landing.eval.gap import thresholds
 from inclined_landing.eval.gap.answer import rollout
-from inclined_landing.eval.gap.answer.posterior import (
-    Identifiable,
-    identifiability,
-    identified_reference,
-    problem_about,
-    with_library,
-)
 from inclined_landing.eval.gap.answer.selection import Refit
 from inclined_landing.eval.gap.answer.sizes import disturbances, half_width
+from inclined_landing.eval.gap.flights.landings import LandingReference
 from inclined_landing.eval.gap.flights.usable import UsableFlights, fingerprint, usable_flights
 from inclined_landing.eval.gap.flights.windows import REGIMES, MeasuredFlight
 from inclined_landing.eval.gap.infer.fit import (
+    deviance,
     estimate_noise,
     field_half_widths,
     fit_least_squares,
     fit_vehicle,
 )
-from inclined_landing.eval.gap.infer.gaussian import LinearGaussian, Spread
+from inclined_landing.eval.gap.infer.gaussian import LinearGaussian, ParameterEstimate, Spread, truncated_mode
 from inclined_landing.eval.gap.infer.heterogeneity import inconsistent_flights, summary_line
 from inclined_landing.eval.gap.infer.landing_reference import landing_reference
+from inclined_landing.eval.gap.infer.residual import reference_residual, white_residuals
 from inclined_landing.eval.gap.infer.sets import leave_one_out
-from inclined_landing.eval.gap.model.columns import FittedValues, Values, slab_deviations
+from inclined_landing.eval.gap.model.columns import (
+    BASE,
+    BaseColumn,
+    FittedValues,
+    Values,
+    slab_deviations,
+    without,
+)
 from inclined_landing.eval.gap.model.prediction import CHANNELS, predict
 from inclined_landing.eval.gap.model.problem import Problem, identifiable_effects
-from inclined_landing.eval.gap.model.reference import VehiclePosterior
+from inclined_landing.eval.gap.model.reference import VehiclePosterior, free_effects
 from inclined_landing.eval.gap.result import (
     VERSION,
     Disturbance,
@@ -74,6 +78,16 @@ class Identified:
     ci95: tuple[float, float]
     spread: float  # standard deviation between flights beyond their errors, in the unit
     note: str = ""
+
+
+@dataclasses.dataclass(frozen=True)
+class Identifiable:
+    """Identifiability of an effect from the flights."""
+
+    effect: str
+    share: float  # posterior over prior standard deviation; 1: not excited at all
+    confounded: tuple[str, ...]  # effects that it is confounded with
+    regimes: tuple[str, ...]  # that excite it
 
 
 @dataclasses.dataclass(frozen=True)
@@ -123,53 +137,48 @@ def identify(
     library, unidentifiable = identifiable_effects(
         {n: e for n, e in LIBRARY.items() if not (e.contact or e.told_by) and e.identified}, use.fitted
     )
-    problem, joint, fitted = _fitted(use, vehicle, library)
-    kept = frozenset[str]()
+    fitted, kept = _fitted(use, vehicle, library), frozenset[str]()
     if large := fitted.large_beyond_slopes():  # slopes at neutral may have led to a worse minimum
-        others = _fitted(use, vehicle, {n: e for n, e in library.items() if n not in large})
-        if others[2].ahead.get("after", math.inf) < fitted.ahead.get("after", math.inf):
-            (problem, joint, fitted), kept = others, large
-    inconsistent = inconsistent_flights(problem, problem.linearise(joint, problem.all_columns()))
+        other = _fitted(use, vehicle, without(library, *large))
+        if other.ahead.get("after", math.inf) < fitted.ahead.get("after", math.inf):
+            fitted, kept = other, large
+    linear = fitted.problem.linearise(fitted.joint, fitted.problem.all_columns())
+    inconsistent = inconsistent_flights(fitted.problem, linear)
     # This is not the rule of `useful_values`: there a name must be earned, and the effect that errors one
     # second ahead need least is dropped, one at a time; here a constant stays fitted unless an axis is then
     # predicted worse than by the vehicle before, and all that act on such an axis are left as they were.
     while more := fitted.acting_on_worse() - kept:
-        rest = {n: e for n, e in library.items() if n not in kept | more}
-        fewer = _Fit.of(with_library(problem, rest), joint, use.judged)
+        rest = without(library, *kept, *more)
+        fewer = _Fit.of(with_library(fitted.problem, rest), fitted.joint, use.judged)
         if not fewer.is_better_than(fitted):
             break
         fitted, kept = fewer, kept | more
-    problem, values = fitted.problem, fitted.values
     result, landings, moved = landing_reference(use.logs, fitted.vehicle, LIBRARY)
-    disturbance, ahead, errors = disturbances(problem), fitted.ahead, None
-    if ahead and (use.judged or len(use.fitted) > 1):
-        errors = ReferenceErrors(ahead["after"], ahead["floor"], disturbance, fitted.worse)
-    around = problem_about(problem, result)
+    disturbance, errors = disturbances(fitted.problem), None
+    if fitted.ahead and (use.judged or len(use.fitted) > 1):
+        errors = ReferenceErrors(fitted.ahead["after"], fitted.ahead["floor"], disturbance, fitted.worse)
+    around = problem_about(fitted.problem, result)
     reference = identified_reference(
         around, errors=errors, landings=landings, flights={log.name: fingerprint(log) for log in use.logs}
     )
-    identifiable = identifiability(around, reference)
-    sized = fitted.local.estimates(values)
     notes = [*map(summary_line, inconsistent), *use.notes, *unidentifiable]
     if landings:
-        notes.append(
-            f"contact was identified from {sum(landings.count)} landings, with their common residual"
-        )
+        count = sum(landings.count)
+        notes.append(f"contact was identified from {count} landings, with their common residual")
     if not use.judged and len(use.fitted) < 2:
         notes.append(
             "only one flight: all errors are on the fitted flight, and it is unknown whether others are "
             "predicted better"
         )
-    fields = field_half_widths(
-        vehicle, fitted.vehicle, _vehicles_a_half_width_away(problem, values, sized)
-    ) | field_half_widths(fitted.vehicle, result, moved)
+    fields = field_half_widths(vehicle, fitted.vehicle, fitted.vehicles_a_half_width_away())
+    fields |= field_half_widths(fitted.vehicle, result, moved)
     return Identification(
         vehicle=result,
         reference=reference.with_new_effects(result),
-        parameters=_parameters(problem, values, sized, vehicle),
-        identifiable=identifiable,
+        parameters=fitted.constants(vehicle),
+        identifiable=identifiability(around, reference),
         fit=fitted.fit,
-        ahead=ahead,
+        ahead=fitted.ahead,
         regimes=dict(zip(REGIMES, np.concatenate([f.regimes for f in use.fitted]).mean(axis=0).tolist())),
         kept=tuple(n for n in library if n in kept),
         worse=fitted.worse,
@@ -187,6 +196,7 @@ class _Fit:
     """The vehicle fitted to flights, and the errors of it and of the one before."""
 
     problem: Problem
+    joint: FittedValues  # fit of all effects together at which it began
     values: FittedValues
     local: LinearGaussian
     vehicle: Vehicle  # with these, but those of the place
@@ -195,10 +205,10 @@ class _Fit:
     worse: dict[str, tuple[float, float]]  # the same
 
     @staticmethod
-    def of(problem: Problem, start: Values, heldout: list[MeasuredFlight]) -> _Fit:
-        """Return the posterior mode; start: values to begin with; heldout: see `identify`."""
+    def of(problem: Problem, joint: FittedValues, heldout: list[MeasuredFlight]) -> _Fit:
+        """Return the posterior mode; joint: values to begin with; heldout: see `identify`."""
         names, columns = frozenset(problem.library), problem.all_columns()
-        start = {n: start[n] for n in problem.library}
+        start = {n: joint[n] for n in problem.library}
         spread = Spread.of(problem, problem.linearise(start, columns))
         values = _idle_references(problem, fit_vehicle(problem, spread, start, names)[0])
         local = LinearGaussian.of(problem, spread, problem.linearise(values, columns))
@@ -212,7 +222,7 @@ class _Fit:
             ahead, worse = _errors_ahead(starts, before, vehicles), worse_axes(starts, before, refit.vehicle)
         if ahead and ahead["after"] > (1.0 + thresholds.WORSE) * ahead["before"]:
             worse = {"position": (ahead["before"], ahead["after"])}
-        return _Fit(problem, values, local, refit.vehicle, fit, ahead, worse)
+        return _Fit(problem, start, values, local, refit.vehicle, fit, ahead, worse)
 
     def is_better_than(self, other: _Fit) -> bool:
         """Return whether the errors in `worse` grow by less than those of another fit.
@@ -249,10 +259,63 @@ class _Fit:
         squares = self.problem.squares_by_channel
         after, result = squares(self.values), []
         for name in self.values if channels else ():
-            change = np.abs(squares({n: v for n, v in self.values.items() if n != name}) - after)[:5]
+            change = np.abs(squares(without(self.values, name)) - after)[:5]
             if int(np.argmax(change)) in channels and change.any():
                 result.append(name)
         return frozenset(result)
+
+    @cached_property
+    def estimates(self) -> dict[tuple[str, str], ParameterEstimate]:
+        """Return the standard errors of all parameters, by effect and parameter."""
+        return self.local.estimates(self.values)
+
+    def half_width(self, effect: str, parameter: str) -> float:
+        """Return the half-width of the 95 % interval of a parameter."""
+        return half_width(self.problem, self.estimates[effect, parameter].error)
+
+    def constants(self, before: Vehicle) -> tuple[Identified, ...]:
+        """Return the identified constants, without those of the place and references of effects not seen."""
+        result = []
+        for (effect, parameter), known in self.estimates.items():
+            p, value = self.problem.library[effect].parameter(parameter), self.values[effect][parameter]
+            if LIBRARY[effect].of_the_place or (p.is_reference and not self._is_seen(effect)):
+                continue
+            label = effect if effect.endswith(p.name) else f"{effect} {p.name}"
+            half = self.half_width(effect, parameter)
+            low, high = sorted(p.number(before, float(np.clip(value + x, *p.bounds))) for x in (-half, half))
+            note = "at its bound" if thresholds.at_bound(value, p.bounds) else ""
+            if LIBRARY[effect].is_lag and not all(f.shows_lags for f in self.problem.flights):
+                note = "confounded with other lags at this sampling rate"
+            result.append(
+                Identified(
+                    name=p.reported or label.replace("_", " "),
+                    field=p.fields[0].partition(".")[0] if p.reported else "",
+                    unit=p.reported_unit,
+                    before=p.number(before, p.neutral),
+                    value=p.number(before, value),
+                    ci95=(low, high),
+                    spread=known.between * abs(p.number(before, 2.0) - p.number(before, 1.0)),
+                    note=note,
+                )
+            )
+        return tuple(result)
+
+    def _is_seen(self, effect: str) -> bool:
+        """Return whether the interval of one of an effect's sizes excludes its neutral value."""
+        sizes = [p for p in self.problem.library[effect].parameters if not p.is_reference]
+        return any(
+            abs(self.values[effect][p.name] - p.neutral) > self.half_width(effect, p.name)
+            for p in sizes
+            if (effect, p.name) in self.estimates
+        )
+
+    def vehicles_a_half_width_away(self) -> Iterator[Vehicle]:
+        """Yield the vehicle with each parameter moved by the half-width of its interval."""
+        for effect, parameter in self.estimates:
+            bounds = self.problem.library[effect].parameter(parameter).bounds
+            end = self.values[effect][parameter] + self.half_width(effect, parameter)
+            moved = {**self.values[effect], parameter: float(np.clip(end, *bounds))}
+            yield self.problem.corrected(_without_place({**self.values, effect: moved}))
 
 
 def _without_place(values: Values) -> FittedValues:
@@ -282,15 +345,13 @@ def worse_axes(
     return {axis: (float(errors[0, k]), float(errors[1, k])) for k, axis in enumerate("xyz") if worse[k]}
 
 
-def _fitted(
-    use: UsableFlights, vehicle: Vehicle, library: Mapping[str, Effect]
-) -> tuple[Problem, FittedValues, _Fit]:
-    """Return the problem with its noise estimated, all effects fitted together, and the vehicle fitted."""
+def _fitted(use: UsableFlights, vehicle: Vehicle, library: Mapping[str, Effect]) -> _Fit:
+    """Return the vehicle fitted to flights, with their noise estimated."""
     problem, joint = estimate_noise(Problem.of(use.fitted, vehicle, library, model_errors=1.0))
     # The vehicle is the best fit without model errors, which a vehicle file cannot represent.
     joint = {n: joint[n] for n in problem.library}
     joint = fit_least_squares(problem, joint, prior=slab_deviations).values
-    return problem, joint, _Fit.of(problem, joint, use.judged)
+    return _Fit.of(problem, joint, use.judged)
 
 
 def _idle_references(problem: Problem, values: FittedValues) -> FittedValues:
@@ -337,9 +398,7 @@ def _fits(
     for flight, own in zip(flights, after):
         predictions = [predict(flight, v) for v in (before, own)]
         n = round(FIT_HORIZON / flight.dt)
-        usable = np.concatenate([[0], np.cumsum(~flight.usable)])
-        first = np.arange(0, flight.samples - n - 1, max(1, n // 2))
-        first = first[usable[first + n + 1] == usable[first]]
+        first = flight.usable_from(np.arange(0, flight.samples - n - 1, max(1, n // 2)), n + 1)
         for k, axis in enumerate("xyz"):
             rates = [np.gradient(p[:, k], flight.dt) for p in predictions]
             series = [flight.velocity[:, k], *rates]
@@ -355,47 +414,95 @@ def _fits(
     return fits
 
 
-def _is_there(problem: Problem, name: str, values: Values, sized) -> bool:
-    """Return whether the interval of one of an effect's sizes excludes its neutral value."""
-    return any(
-        abs(values[name][p.name] - p.neutral) > half_width(problem, sized[name, p.name].error)
-        for p in problem.library[name].parameters
-        if not p.is_reference and (name, p.name) in sized
+def problem_about(problem: Problem, vehicle: Vehicle) -> Problem:
+    """Return the problem of all effects that free flights can show, about the identified vehicle."""
+    free = {name: effect for name, effect in free_effects().items() if effect.identified}
+    library, _ = identifiable_effects(free, problem.flights)
+    return with_library(dataclasses.replace(problem, vehicle=vehicle), library)
+
+
+def with_library(problem: Problem, library: Mapping[str, Effect]) -> Problem:
+    """Return a problem with other effects and the same noise."""
+    return dataclasses.replace(
+        Problem.of(problem.flights, problem.vehicle, library, model_errors=1.0),
+        noise_model=problem.noise_model,
+        weight=problem.weight,
+        inflation=problem.inflation,
     )
 
 
-def _parameters(problem: Problem, values: Values, sized, before: Vehicle) -> tuple[Identified, ...]:
-    """Return the identified constants, without effects of the place and references of effects not seen."""
+def identified_reference(
+    problem: Problem,
+    *,
+    errors: ReferenceErrors | None,
+    landings: LandingReference | None,
+    flights: Mapping[str, tuple[int, ...]],
+) -> VehiclePosterior:
+    """Return the posterior of the vehicle of `problem`, all effects with their slab priors.
+
+    errors, landings, flights: as of `VehiclePosterior`.
+    """
+    columns, names = problem.all_columns(), frozenset(problem.library)
+    linear = problem.linearise({}, columns)
+    spread = Spread.of(problem, linear)
+    local = LinearGaussian.of(problem, spread, linear)
+    known, mean = _errors_of_the_vehicle(problem, spread, local)
+    # The vehicle lacks effects that its flights never met, such as the ground high up. They are no error of
+    # its identification: theta = 0, and flights that meet them name them.
+    prior = local.slab.diagonal() * local.unit**2
+    met = (known.diagonal() < thresholds.UNMET**2 * prior) | [isinstance(c, BaseColumn) for c in columns]
+    known, mean = np.where(np.outer(met, met), known, 0.0), np.where(met, mean, 0.0)
+    repeating = reference_residual(problem, white_residuals(problem, local, names))
+    # But a constant that every vehicle has is as uncertain as before flights that do not show it at all.
+    unseen = {n for n, e in free_effects().items() if n not in names and e.is_constant}
+    return VehiclePosterior(
+        *(tuple(columns), mean, known, repeating, frozenset(free_effects()) - unseen),
+        errors=errors,
+        landings=landings,
+        flights=flights,
+    )
+
+
+def _errors_of_the_vehicle(
+    problem: Problem, spread: Spread, local: LinearGaussian
+) -> tuple[np.ndarray, np.ndarray]:
+    """Return the covariance (P, P) and mean (P,) of the errors of the vehicle of a problem.
+
+    The slopes at the vehicle may lead to where the flights are less probable: there they say nothing of its
+    effects, and the mean is that of the model errors without them.
+    """
+    columns, names, unit = local.columns, frozenset(problem.library), local.unit
+    change, covariance = local.posterior(names)
+    at = local.at + change
+    model = np.array([isinstance(c, BaseColumn) for c in columns])
+    # Conditioned on x_E = 0 (Bishop 2.81):  x_B = m_B - C_BE C_EE^-1 m_E
+    inner = covariance[np.ix_(~model, ~model)] + 1e-9 * np.eye(np.count_nonzero(~model))
+    without = np.where(model, at - covariance[:, ~model] @ np.linalg.solve(inner, at[~model]), 0.0)
+    whole, _ = truncated_mode(at, covariance, np.arange(len(at)), local.bounds)
+
+    def less_probable(x: np.ndarray) -> float:
+        weights = {c.key[1]: float(w) for c, w in zip(columns, x * unit) if isinstance(c, BaseColumn)}
+        values = {**problem.values_at(names, columns, x * unit), BASE: weights}
+        return deviance(LinearGaussian.of(problem, spread, problem.linearise(values, columns)), names)
+
+    return covariance * np.outer(unit, unit), min(whole, without, key=less_probable) * unit
+
+
+def identifiability(around: Problem, reference: VehiclePosterior) -> tuple[Identifiable, ...]:
+    """Return the identifiability of each effect, best identified first."""
+    wide = slab_deviations(around, reference.columns)
+    error = np.sqrt(np.diag(reference.covariance))
+    scale = np.where(error > 0.0, error, 1.0)
+    correlation = np.abs(reference.covariance / np.outer(scale, scale))
+    columns = {n: [k for k, c in enumerate(reference.columns) if c.effect == n] for n in around.library}
     result = []
-    for (effect, parameter), known in sized.items():
-        p, value = problem.library[effect].parameter(parameter), values[effect][parameter]
-        if LIBRARY[effect].of_the_place or (p.is_reference and not _is_there(problem, effect, values, sized)):
-            continue
-        label = effect if effect.endswith(p.name) else f"{effect} {p.name}"
-        ends = (float(np.clip(value + s * half_width(problem, known.error), *p.bounds)) for s in (-1, 1))
-        low, high = sorted(p.number(before, x) for x in ends)
-        note = "at its bound" if thresholds.at_bound(value, p.bounds) else ""
-        if LIBRARY[effect].is_lag and not all(f.shows_lags for f in problem.flights):
-            note = "confounded with other lags at this sampling rate"
-        result.append(
-            Identified(
-                name=p.reported or label.replace("_", " "),
-                field=p.fields[0].partition(".")[0] if p.reported else "",
-                unit=p.reported_unit,
-                before=p.number(before, p.neutral),
-                value=p.number(before, value),
-                ci95=(low, high),
-                spread=known.between * abs(p.number(before, 2.0) - p.number(before, 1.0)),
-                note=note,
-            )
-        )
-    return tuple(result)
-
-
-def _vehicles_a_half_width_away(problem: Problem, values: Values, sized) -> Iterator[Vehicle]:
-    """Yield the vehicle at `values` with each parameter moved by the half-width of its interval."""
-    for (effect, parameter), known in sized.items():
-        p = problem.library[effect].parameter(parameter)
-        end = float(np.clip(values[effect][parameter] + half_width(problem, known.error), *p.bounds))
-        one = {**values, effect: {**values[effect], parameter: end}}
-        yield problem.corrected(_without_place(one))
+    for name, own in columns.items():
+        share = float(max(np.where(error[own] > 0.0, error[own] / wide[own], 1.0)))
+        others = [
+            n
+            for n, its in columns.items()
+            if n != name and correlation[np.ix_(own, its)].max() > thresholds.CORRELATED
+        ]
+        confounded = tuple(others) if share > thresholds.ROUGH else ()
+        result.append(Identifiable(name, share, confounded, LIBRARY[name].regimes))
+    return tuple(sorted(result, key=lambda one: one.share))

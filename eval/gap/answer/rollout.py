@@ -16,13 +16,7 @@ import numba
 import numpy as np
 import scipy  # whose submodules are imported when they are used
 
-from inclined_landing.eval.gap.flights.windows import (
-    SMOOTHING,
-    MeasuredFlight,
-    earlier,
-    prepare,
-    remove_tilt,
-)
+from inclined_landing.eval.gap.flights.windows import SMOOTHING, MeasuredFlight, earlier, prepare, remove_tilt
 from inclined_landing.eval.gap.model.prediction import (
     angle_integrals,
     as_flown,
@@ -34,18 +28,7 @@ from inclined_landing.eval.gap.result import HORIZON, PlantGap
 from inclined_landing.eval.logs import FlightLog
 from inclined_landing.eval.logs.log import as_logs
 from inclined_landing.models import equations, forces
-from inclined_landing.models.attitude import (
-    LAG,
-    PITCH,
-    ROLL,
-    STATE_SIZE,
-    VX,
-    WX,
-    WY,
-    WZ,
-    body_rates,
-    tilted,
-)
+from inclined_landing.models.attitude import LAG, PITCH, ROLL, STATE_SIZE, VX, WX, WY, WZ, body_rates, tilted
 from inclined_landing.models.base.errors import UserError
 from inclined_landing.models.load import UNLOADED, hanging
 from inclined_landing.models.parameters import as_vehicle
@@ -80,19 +63,16 @@ class RolloutWindows:
         dt = flights[0].dt
         if any(abs(f.dt - dt) > 0.02 * dt for f in flights):
             raise UserError("flights logged at different rates cannot be simulated together")
-        rows, stride = round(horizon / dt), max(1, round(EVERY / dt))
-        flight_of, first = [], []
-        for k, f in enumerate(flights):
-            margin = max(2, round(SMOOTHING / dt))
-            blocked = np.concatenate([[0], np.cumsum(~f.usable)])
-            for a in range(margin, f.samples - rows - 1, stride):
-                if blocked[a + rows + 1] == blocked[a - margin]:
-                    flight_of.append(k)
-                    first.append(a)
-        if not first:
+        rows, stride, margin = round(horizon / dt), max(1, round(EVERY / dt)), max(2, round(SMOOTHING / dt))
+        first = []  # of every flight
+        for f in flights:
+            before = np.arange(0, f.samples - rows - 1 - margin, stride)
+            first.append(margin + f.usable_from(before, margin + rows + 1))
+        if not any(map(len, first)):
             names = ", ".join(f.name for f in flights)
             raise UserError(f"{names}: no {horizon:g} s of uninterrupted free flight")
-        return RolloutWindows(list(flights), np.array(flight_of, int), np.array(first, int), rows, dt)
+        flight_of = np.repeat(np.arange(len(flights)), [*map(len, first)])
+        return RolloutWindows(list(flights), flight_of, np.concatenate(first), rows, dt)
 
     def __len__(self) -> int:
         return len(self.first)

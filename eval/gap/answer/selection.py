@@ -28,7 +28,7 @@ from inclined_landing.eval.gap.infer.sets import (
     leave_one_out,
     posterior_mode,
 )
-from inclined_landing.eval.gap.model.columns import FittedValues, Values, slab_deviations
+from inclined_landing.eval.gap.model.columns import FittedValues, Values, slab_deviations, without
 from inclined_landing.eval.gap.model.prediction import channels_of
 from inclined_landing.eval.gap.model.problem import Problem
 from inclined_landing.eval.gap.result import HORIZON, ErrorGrowth, PlantGap, RegimeError
@@ -142,8 +142,8 @@ def useful_values(found: SetPosterior, values: FittedValues) -> FittedValues:
         unneeded: list[tuple[float, Refit]] = []
         for name in sorted(fit.values):
             errors = judged_by(found.problem.library[name], values[name])
-            if errors and (without := _fit_without(found, fit, name, errors)):
-                unneeded.append((without.growth_of(errors, fit)[0], without))
+            if errors and (rest := _fit_without(found, fit, name, errors)):
+                unneeded.append((rest.growth_of(errors, fit)[0], rest))
         if not unneeded:
             return fit.values
         _, fit = min(unneeded, key=lambda one: one[0])
@@ -159,8 +159,8 @@ def _fit_without(found: SetPosterior, fit: Refit, name: str, errors: list[int]) 
     fixed = dataclasses.replace(fit, left_out=[{n: v[n] for n in rest} for v in fit.left_out])
     if not fixed.pose_errors[errors[0]] <= fit.pose_errors[errors[0]]:
         return None
-    without = fitted_to_others(found, rest)
-    return without if without.growth_of(errors, fit).max() <= 1.0 + thresholds.USEFUL else None
+    again = fitted_to_others(found, rest)
+    return again if again.growth_of(errors, fit).max() <= 1.0 + thresholds.USEFUL else None
 
 
 def distinct_values(found: SetPosterior, values: FittedValues) -> tuple[SetPosterior, FittedValues]:
@@ -230,8 +230,8 @@ def _shows_ahead(found: SetPosterior, values: FittedValues, name: str) -> bool:
     if not errors:
         return False
     names = frozenset(values)
-    here, without = (fitted_to_others(found, n).pose_errors[errors] for n in (names, names - {name}))
-    return bool((without > (1.0 + thresholds.USEFUL) * here).any())
+    here, rest = (fitted_to_others(found, n).pose_errors[errors] for n in (names, names - {name}))
+    return bool((rest > (1.0 + thresholds.USEFUL) * here).any())
 
 
 def fitted_to_others(found: SetPosterior, names: EffectSet) -> Refit:
@@ -279,8 +279,7 @@ def squared_error_shares(problem: Problem, values: Values) -> dict[str, float]:
 def _squared_error_increase(problem: Problem, values: Values) -> dict[str, np.ndarray]:
     """Return effect -> increase of the squared error (C,) of every channel without it."""
     after = problem.squares_by_channel(values)
-    rest = {name: {n: v for n, v in values.items() if n != name} for name in values}
-    return {name: problem.squares_by_channel(rest[name]) - after for name in values}
+    return {name: problem.squares_by_channel(without(values, name)) - after for name in values}
 
 
 def corrected(found: SetPosterior, values: FittedValues) -> Refit:
@@ -390,10 +389,10 @@ def _growth(problem: Problem, starts, values: Values, corrected, floor, others: 
 def _displacement(problem: Problem, starts, values: Values, names: Sequence[str]) -> Displacement:
     """Return the error after one second that effects account for, and how far they move the vehicle."""
     # cost^2 = e_without^2 - e_with^2
-    measured, rest = starts.measured(), {n: v for n, v in values.items() if n not in names}
-    without, whole = (rollout.simulate(starts, problem.corrected(v)) for v in (rest, values))
-    worse, better = (rollout.position_error(pose, measured)[-1] for pose in (without, whole))
-    moved = np.sqrt(((whole - without)[:, -1, :3] ** 2).mean(axis=0))
+    measured, both = starts.measured(), (without(values, *names), values)
+    rest, whole = (rollout.simulate(starts, problem.corrected(v)) for v in both)
+    worse, better = (rollout.position_error(pose, measured)[-1] for pose in (rest, whole))
+    moved = np.sqrt(((whole - rest)[:, -1, :3] ** 2).mean(axis=0))
     return Displacement(float(np.sqrt(max(0.0, worse**2 - better**2))), dict(zip("xyz", map(float, moved))))
 
 

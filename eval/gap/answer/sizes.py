@@ -19,6 +19,7 @@ from inclined_landing.eval.gap.model.columns import (
     Values,
     at_an_end,
     fitting,
+    without,
 )
 from inclined_landing.eval.gap.model.prediction import UNITS_OF, channels_of
 from inclined_landing.eval.gap.model.problem import Problem
@@ -189,10 +190,10 @@ def product(found: SetPosterior, values: Values, name: str) -> Quantity:
     own = size_columns(found.problem, local, [name])
     information = local.a.sum(axis=0)[np.ix_(own, own)] + np.linalg.inv(local.slab[np.ix_(own, own)])
     covariance = np.linalg.inv(information) * np.outer(local.unit[own], local.unit[own])
-    without = found.problem.hover_acceleration({n: v for n, v in values.items() if n != name})
+    rest = found.problem.hover_acceleration(without(values, name))
 
     def made(at: Values) -> float:
-        return float(np.linalg.norm(found.problem.hover_acceleration(at) - without))
+        return float(np.linalg.norm(found.problem.hover_acceleration(at) - rest))
 
     value, (low, high) = propagated(found.problem, values, [local.columns[k] for k in own], covariance, made)
     return Quantity(value, (max(0.0, low), high))

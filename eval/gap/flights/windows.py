@@ -165,6 +165,11 @@ class MeasuredFlight:
         """Return the windows (w, rows, ...) of `values` (m, ...)."""
         return values[self.starts[:, None] + np.arange(self.rows)]
 
+    def usable_from(self, first: np.ndarray, rows: int) -> np.ndarray:
+        """Return those of the rows `first` (k,) from which on `rows` rows are usable throughout."""
+        blocked = np.concatenate([[0], np.cumsum(~self.usable)])
+        return first[blocked[first + rows] == blocked[first]]
+
 
 @dataclasses.dataclass(frozen=True)
 class MotorRequests:

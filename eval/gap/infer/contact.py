@@ -23,10 +23,10 @@ from scipy.special import chdtrc, logsumexp
 
 from inclined_landing.eval.gap import thresholds
 from inclined_landing.eval.gap.flights.landings import Landing, LandingReference
-from inclined_landing.eval.gap.infer.gaussian import SPIKE, EffectSet, flight_weights
+from inclined_landing.eval.gap.infer.gaussian import SPIKE, EffectSet, flight_weights, prior_share
 from inclined_landing.eval.gap.infer.sets import REFIT_ABOVE
 from inclined_landing.eval.gap.infer.touchdown_simulation import TouchdownProblem
-from inclined_landing.eval.gap.model.columns import SLAB, FittedValues, Values
+from inclined_landing.eval.gap.model.columns import SLAB, FittedValues, Values, without
 from inclined_landing.eval.gap.result import Estimate, ScoredSet, marginal
 from inclined_landing.models.effects import Effect
 from inclined_landing.models.vehicle import Vehicle
@@ -340,7 +340,7 @@ class _ContactModel:
 
     def distribution(self) -> tuple[tuple[ScoredSet, ...], list[_Profile]]:
         """Return the bagged posterior, most probable set first, and the profiles of that set."""
-        share = 1.0 - thresholds.PRIOR_EMPTY ** (1.0 / max(1, len(self.names)))
+        share = prior_share(len(self.names))
         odds = math.log(share / (1.0 - share))
         table: dict[EffectSet, list[_Profile]] = {}
         for count in range(MOST_EFFECTS + 1):
@@ -410,8 +410,8 @@ class _ContactModel:
             return {}
         after = deviance(values)
         closed = max(-float(log_t(self.neutral).sum()) - after, 1e-9)
-        rest = {name: {n: v for n, v in values.items() if n != name} for name in values}
-        return {name: float(np.clip((deviance(rest[name]) - after) / closed, 0.0, 1.0)) for name in values}
+        lost = {name: deviance(without(values, name)) - after for name in values}
+        return {name: float(np.clip(x / closed, 0.0, 1.0)) for name, x in lost.items()}
 
     def residual(self, values: Values) -> np.ndarray:
         """Return the residual (n, 6, q) at `values`, small (spike) errors of all effects removed."""

@@ -143,8 +143,7 @@ def estimate_noise(problem: Problem) -> tuple[Problem, FittedValues]:
         ).values
         predicted = problem.predicted(values)
         errors = [f.measured - p for f, p in zip(problem.flights, predicted)]
-        ends = np.cumsum([len(f.starts) for f in problem.flights])[:-1]
-        noise_model = estimate(problem.flights, errors, np.split(problem.weight, ends))
+        noise_model = estimate(problem.flights, errors, problem.split(problem.weight))
         problem = problem.whitened(noise_model, problem.corrected(values))
         problem = dataclasses.replace(problem, weight=model_error_weights(problem, predicted, errors))
         if np.allclose(noise_model.size, before.size, rtol=0.15, atol=1e-3):
@@ -199,9 +198,8 @@ def variance_inflation(problem: Problem, values: Values) -> np.ndarray:
     # autocorrelation rho_k = sum_w x_w x_(w+k) / sum_w x_w^2 of the windows' standardised amplitudes x, and
     # the dispersion phi = chi^2 / n of a quasi-likelihood, at least 1 (McCullagh and Nelder, 9.2.4).
     white = problem.white_errors_at(values)
-    ends = np.cumsum([len(f.starts) for f in problem.flights])[:-1]
     squares, count = np.zeros(problem.channels), (problem.rows[:, None] * problem.logged).sum(axis=0)
-    for errors, weight in zip(white, np.split(problem.weight, ends)):
+    for errors, weight in zip(white, problem.split(problem.weight)):
         each = weight * (errors**2).sum(axis=2)
         squares += [winsorised(x) @ x for x in each.T]
     dispersion = np.maximum(1.0, squares / np.maximum(count, 1.0))

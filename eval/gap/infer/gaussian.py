@@ -21,6 +21,7 @@ from typing import NamedTuple
 import numba
 import numpy as np
 
+from inclined_landing.eval.gap import thresholds
 from inclined_landing.eval.gap.model.columns import (
     SHAPE_COVARIANCE,
     Candidates,
@@ -477,6 +478,11 @@ def _bounded_mode(a, b, slab, bounds, k, times):
             covariance[k[i], k[j]] = inner[i, j]
     at, log_ratio = truncated_mode(at, covariance, k, bounds)
     return at, gain + log_ratio
+
+
+def prior_share(effects: int) -> float:
+    """Return the prior probability of each of some effects, with which none is missing with PRIOR_EMPTY."""
+    return 1.0 - thresholds.PRIOR_EMPTY ** (1.0 / max(1, effects))  # (1 - s)^n = PRIOR_EMPTY
 
 
 def flight_weights(groups: int) -> np.ndarray:

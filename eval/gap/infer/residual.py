@@ -23,13 +23,7 @@ from inclined_landing.eval.gap.infer.gaussian import EffectSet, LinearGaussian
 from inclined_landing.eval.gap.infer.sets import SetPosterior
 from inclined_landing.eval.gap.model.prediction import CHANNELS, UNITS_OF, channels_of
 from inclined_landing.eval.gap.model.problem import Problem
-from inclined_landing.eval.gap.model.reference import (
-    LINEAR,
-    TARGETS,
-    TIME,
-    Basis,
-    ReferenceResidual,
-)
+from inclined_landing.eval.gap.model.reference import LINEAR, TARGETS, TIME, Basis, ReferenceResidual
 from inclined_landing.eval.gap.result import HORIZON, Dependence, ResidualAnalysis
 from inclined_landing.models.threads import two_at_a_time
 from inclined_landing.models.vehicle import Vehicle
@@ -255,9 +249,8 @@ def _displacement(problem, function: _RidgeRegression, basis: Basis, arrays, veh
     counts = np.zeros(len(function.a))
     for k, (flight, x) in enumerate(zip(problem.flights, arrays)):
         through = _displacement_response(flight, function.target, vehicle)
-        blocked = np.concatenate([[0], np.cumsum(~flight.usable)])
         first = np.arange(0, max(0, flight.samples - len(through)), max(1, len(through) // 4))
-        first = first[blocked[first + len(through)] == blocked[first]]
+        first = flight.usable_from(first, len(through))
         group_of = problem.group_of[problem.flight_of == k]
         mine = group_of[np.clip(np.searchsorted(flight.starts, first, side="right") - 1, 0, None)]
         features = basis(x)
@@ -313,9 +306,8 @@ def _fit(
     channels = _channels(target)
     groups, width = problem.groups, features[0].shape[2]
     a, b = np.zeros((groups, width, width)), np.zeros((int(block_of.max()) + 1, width))
-    ends = np.cumsum([len(f.starts) for f in problem.flights])[:-1]
-    of_flights = [np.split(x, ends) for x in (problem.group_of, block_of, problem.weight)]
-    for flight, errors, basis, g, k, weight in zip(problem.flights, residual, features, *of_flights):
+    by_flight = map(problem.split, (problem.group_of, block_of, problem.weight))
+    for flight, errors, basis, g, k, weight in zip(problem.flights, residual, features, *by_flight):
         for channel in channels:
             drive = basis
             if len(channels) == 2:

@@ -25,13 +25,9 @@ from inclined_landing.eval.gap.infer.gaussian import (
     LinearGaussian,
     Spread,
     flight_weights,
+    prior_share,
 )
-from inclined_landing.eval.gap.model.columns import (
-    FittedValues,
-    ParameterColumn,
-    Values,
-    fitting,
-)
+from inclined_landing.eval.gap.model.columns import FittedValues, ParameterColumn, Values, fitting
 from inclined_landing.eval.gap.model.problem import Linearisation, Problem
 from inclined_landing.eval.gap.result import ScoredSet, marginal
 
@@ -128,8 +124,7 @@ def log_prior(problem: Problem, names: EffectSet) -> float:
 
     Sets with all of one of REDUNDANT are left out.
     """
-    # p(S) = s^|S| (1 - s)^(n - |S|),  with s such that the empty set has (1 - s)^n = PRIOR_EMPTY.
-    share = 1.0 - thresholds.PRIOR_EMPTY ** (1.0 / max(1, len(problem.library)))
+    share = prior_share(len(problem.library))  # p(S) = s^|S| (1 - s)^(n - |S|)
     all_of = sum(len(of) for of in REDUNDANT if names >= of)
     # In addition to a load's mass and string, its swing at the start of every stretch is fitted: 4 numbers.
     begun = problem.swing_starts if "slung_load" in names else 0

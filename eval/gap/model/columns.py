@@ -12,7 +12,7 @@ from __future__ import annotations
 import dataclasses
 import math
 from collections.abc import Iterable, Mapping, Sequence
-from typing import ClassVar
+from typing import ClassVar, TypeVar
 
 import numpy as np
 import scipy  # whose submodules are imported when they are used
@@ -30,6 +30,7 @@ from inclined_landing.models.vehicle import Vehicle
 
 Values = Mapping[str, Mapping[str, float]]  # effect -> parameter -> value; BASE -> model error -> weight
 FittedValues = dict[str, dict[str, float]]  # the same, a copy to change
+T = TypeVar("T")
 
 BASE = "base model"  # among values, beside the names of effects: the weights of its model (form) errors
 SLAB = 1.0  # standard deviation of the slab, in plausible sizes
@@ -339,6 +340,11 @@ class Candidates:
         high = min(p.bounds[1], at[p.name] + p.negligible)
         ends = [self.corrected({**values, column.effect: {**at, p.name: x}}) for x in (low, high)]
         return ends, high - low
+
+
+def without(values: Mapping[str, T], *names: str) -> dict[str, T]:
+    """Return the values of the other effects."""
+    return {name: of for name, of in values.items() if name not in names}
 
 
 def slab_deviations(candidates: Candidates, columns: Sequence[Column]) -> np.ndarray:

@@ -29,6 +29,7 @@ from inclined_landing.eval.gap.model.columns import (
     Values,
     Variation,
     fitting,
+    without,
 )
 from inclined_landing.eval.gap.model.prediction import (
     CHANNEL_GROUPS,
@@ -172,6 +173,10 @@ class Problem(Candidates):
         """Return the white numbers (w,) of every window and channel."""
         return np.array([f.rows - 2 for f in self.flights])[self.flight_of]
 
+    def split(self, values: np.ndarray) -> list[np.ndarray]:
+        """Return values (w, ...) of the windows, those of each flight apart."""
+        return np.split(values, np.cumsum([len(f.starts) for f in self.flights])[:-1])
+
     def weights_without_each_flight(self) -> list[np.ndarray]:
         """Return for every flight the weights (g,) of the groups without it; of a single one, all 1.
 
@@ -249,15 +254,14 @@ class Problem(Candidates):
         differences = {
             c: self.one_sided_difference(values, c) for c in columns if isinstance(c, ParameterColumn)
         }
-        without = {c.effect: {n: v for n, v in values.items() if n != c.effect} for c in columns}
-        without = {c.effect: without[c.effect] for c in columns if isinstance(c, FormColumn)}
-        vehicles = [self.corrected(v) for v in (values, *without.values())]
+        others = {c.effect: without(values, c.effect) for c in columns if isinstance(c, FormColumn)}
+        vehicles = [self.corrected(v) for v in (values, *others.values())]
         vehicles += [moved for moved, _ in differences.values()]
         predicted = predictor(self.flights[0], vehicles)
 
         def of(flight: MeasuredFlight, form_jacobian: np.ndarray) -> np.ndarray:
-            here, *others = predicted(flight)
-            rest, moved = dict(zip(without, others)), dict(zip(differences, others[len(without) :]))
+            here, *also = predicted(flight)
+            rest, moved = dict(zip(others, also)), dict(zip(differences, also[len(others) :]))
             # As in memory: one channel after another
             result = np.empty((1 + len(columns), *here.T.shape)).transpose(0, 2, 1)
             result[0] = _with_model_errors(here, form_jacobian, values)
