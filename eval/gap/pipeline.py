@@ -314,7 +314,7 @@ def unidentifiable_sets(found: SetPosterior) -> tuple[ScoredSet, ...]:
         if local.standard_errors(names)[own[0]] < thresholds.UNIDENTIFIABLE * prior:
             continue
         width = {p.name: abs(p.size(p.plausible)) for p in effect.parameters}
-        values = {n: dict(best.values[n]) for n in best.names} | {name: effect.plausible}
+        values = {n: dict(best.values[n]) for n in best.effects} | {name: effect.plausible}
         odds = best.probability * share / (1.0 - share)
         result.append(ScoredSet(problem.ordered(names), odds, values, {name: width}))
     return tuple(result)
