@@ -100,7 +100,7 @@ def diagnose(
         where=(*selection.regime_errors(correction, use.judged), *contact.where),
         sets=contact.sets(scored_sets(found)),
         unidentifiable_sets=unidentifiable_sets(found),
-        touchdowns=contact.touchdowns,
+        touchdowns=contact.posterior.touchdowns if contact.posterior else None,
         disturbance=sizes.disturbances(found.problem),
         residual=residual,
         gap=ahead.gap or contact.gap(vehicle, plants),

@@ -182,7 +182,7 @@ class Touchdowns:
 
     landings: int
     unexplained: bool  # whether the landings' common residual is significant
-    p_value: float
+    p_value: float  # of the most significant common residual
 
 
 @dataclasses.dataclass(frozen=True)

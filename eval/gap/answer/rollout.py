@@ -24,7 +24,7 @@ from inclined_landing.eval.gap.model.prediction import (
     predict,
     without_delays,
 )
-from inclined_landing.eval.gap.result import HORIZON, PlantGap
+from inclined_landing.eval.gap.result import HORIZON
 from inclined_landing.eval.logs import FlightLog
 from inclined_landing.eval.logs.log import as_logs
 from inclined_landing.models import equations, forces
@@ -299,14 +299,6 @@ def along_measured_attitude(starts: RolloutWindows, vehicle: Vehicle) -> np.ndar
             unknown = ~flight.logged[:3]
             moved[i][:, unknown] = flight.position[a : a + 1 + starts.rows, unknown]
     return moved
-
-
-def plant_gap(
-    starts: RolloutWindows, before: Vehicle, after: Vehicle | Sequence[Vehicle], plant: str, floor: np.ndarray
-) -> PlantGap:
-    """Return the errors at the end of the horizon; `after`: one vehicle, or one per flight of `starts`."""
-    worse, better = (float(errors_by_flight(starts, v, plant)[-1]) for v in (before, after))
-    return PlantGap(worse, better, float(floor[-1]), len(starts), starts.rows * starts.dt)
 
 
 def errors_by_flight(

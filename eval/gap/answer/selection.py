@@ -75,27 +75,21 @@ class Refit:
             return heldout, [self.vehicle] * len(heldout)
         return self.problem.flights, self.vehicles
 
-    def error_ahead(self) -> float:
-        """Return the position error [m] one second ahead on flights left out; infinite if none is so long."""
-        starts = self._windows_ahead()
-        return float(rollout.errors_by_flight(starts, self.vehicles)[-1]) if starts else math.inf
-
     @cached_property
     def pose_errors(self) -> np.ndarray:
-        """Return the errors (3,) of position [m], tilt and heading [rad] ahead, as above; NaN if none is."""
-        starts = self._windows_ahead()
-        return rollout.pose_errors(starts, self.vehicles) if starts else np.full(3, math.nan)
+        """Return the errors (3,) one second ahead on flights left out: position [m], tilt, heading [rad].
+
+        They are those of a simulation from the measured states, driven by the commands alone; NaN if no
+        stretch of the flights is a second long.
+        """
+        try:
+            return rollout.pose_errors(rollout.RolloutWindows.of(self.problem.flights), self.vehicles)
+        except UserError:
+            return np.full(3, math.nan)
 
     def growth_of(self, errors: Sequence[int], other: Refit) -> np.ndarray:
         """Return some of its `pose_errors` over those of another fit."""
         return self.pose_errors[errors] / np.maximum(other.pose_errors[errors], 1e-12)
-
-    def _windows_ahead(self) -> rollout.RolloutWindows | None:
-        """Return the windows of a second in which errors are measured; None where no stretch is so long."""
-        try:
-            return rollout.RolloutWindows.of(self.problem.flights)
-        except UserError:
-            return None
 
 
 def relevant_values(found: SetPosterior) -> FittedValues:
@@ -294,7 +288,7 @@ def corrected(found: SetPosterior, values: FittedValues) -> Refit:
     moved = vehicles_a_half_width_away(problem, local, names, again)
     widths = field_half_widths(problem.vehicle, problem.corrected(again), moved)
     all_again = Refit(problem, again, leave_one_out_modes(problem, local, names), widths)
-    return min(named_alone, all_again, key=Refit.error_ahead)
+    return min(named_alone, all_again, key=lambda fit: fit.pose_errors[0])
 
 
 def regime_errors(correction: Refit, heldout: Sequence[MeasuredFlight]) -> tuple[RegimeError, ...]:
@@ -361,7 +355,13 @@ def open_loop_errors(
     gap, notes = {}, []
     for plant in dict.fromkeys(("analytic", *plants)):
         try:
-            gap[plant] = rollout.plant_gap(starts, problem.vehicle, vehicles, plant, floor)
+            gap[plant] = PlantGap(
+                before=float(rollout.errors_by_flight(starts, problem.vehicle, plant)[-1]),
+                after=float(rollout.errors_by_flight(starts, vehicles, plant)[-1]),
+                floor=float(floor[-1]),
+                windows=len(starts),
+                horizon=starts.rows * starts.dt,
+            )
         except UserError as why:  # as loops that are too fast for the engine's step
             notes.append(f"the gap was not measured in {plant}: {why}")
     classes = {member for name in values for member in equivalence_class(found, name)}

@@ -13,7 +13,7 @@ from inclined_landing.eval.gap.flights.usable import UsableFlights
 from inclined_landing.eval.gap.infer.contact import ContactPosterior, contact_posterior, look_alike
 from inclined_landing.eval.gap.infer.sets import confounded_with
 from inclined_landing.eval.gap.infer.touchdown_simulation import TouchdownProblem, position_errors
-from inclined_landing.eval.gap.result import NamedEffect, PlantGap, RegimeError, ScoredSet, Touchdowns
+from inclined_landing.eval.gap.result import NamedEffect, PlantGap, RegimeError, ScoredSet
 from inclined_landing.models.effects import Effect
 from inclined_landing.models.vehicle import Vehicle
 
@@ -32,7 +32,6 @@ class ContactAnswer:
     effects: tuple[NamedEffect, ...] = ()
     where: tuple[RegimeError, ...] = ()
     posterior: ContactPosterior | None = None
-    touchdowns: Touchdowns | None = None
     notes: tuple[str, ...] = ()
 
     def sets(self, flown: tuple[ScoredSet, ...]) -> tuple[ScoredSet, ...]:
@@ -68,14 +67,15 @@ def contact_answer(
     problem, found = contact_posterior(landings, corrected, library, reference)
     effects = contact_effects(problem, found)
     after = problem.corrected({n: v for e in effects for n, v in e.fitted.items()})
-    repeats = "the motion after touchdown has a systematic error that no effect explains"
-    notes = (f"{repeats} (p {found.p_value:.2g})",) * found.unexplained + _undecided(problem, found, effects)
+    notes = _undecided(problem, found, effects)
+    if found.touchdowns.unexplained:
+        repeats = "the motion after touchdown has a systematic error that no effect explains"
+        notes = (f"{repeats} (p {found.touchdowns.p_value:.2g})", *notes)
     test = tuple(landings_of(use.heldout, corrected, reference) or landings)
     worse, better = (_root_mean_square(test, v, slice(None)) for v in (vehicle, after))
     floor = float(np.sqrt(np.mean([(x.deviation[:, :3] ** 2).sum(axis=1).mean() for x in test])))
     where = (RegimeError("touchdown", "touchdown", worse, better, floor, "m", len(test)),)
-    touchdowns = Touchdowns(len(landings), found.unexplained, found.p_value)
-    return ContactAnswer(after, test, effects, where, found, touchdowns, notes)
+    return ContactAnswer(after, test, effects, where, found, notes)
 
 
 def _root_mean_square(landings: Sequence[Landing], vehicle: Vehicle, moments: slice) -> float:
@@ -124,7 +124,7 @@ def _undecided(
         return ()
     ((_, size),) = next(s.values[likely] for s in found.sets if likely in s.effects).items()
     what = " or ".join(n.replace("_", " ") for n in (likely, *_look_alike(problem, likely, size)))
-    return (f"{found.count} landings leave open whether {what} is missing",)
+    return (f"{found.touchdowns.landings} landings leave open whether {what} is missing",)
 
 
 def joint_sets(flown: tuple[ScoredSet, ...], found: ContactPosterior) -> tuple[ScoredSet, ...]:

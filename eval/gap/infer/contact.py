@@ -27,7 +27,7 @@ from inclined_landing.eval.gap.infer.gaussian import SPIKE, EffectSet, flight_we
 from inclined_landing.eval.gap.infer.sets import REFIT_ABOVE
 from inclined_landing.eval.gap.infer.touchdown_simulation import TouchdownProblem
 from inclined_landing.eval.gap.model.columns import SLAB, FittedValues, Values, without
-from inclined_landing.eval.gap.result import Estimate, ScoredSet, marginal
+from inclined_landing.eval.gap.result import Estimate, ScoredSet, Touchdowns, marginal
 from inclined_landing.models.effects import Effect
 from inclined_landing.models.vehicle import Vehicle
 
@@ -94,9 +94,7 @@ class ContactPosterior:
     sets: tuple[ScoredSet, ...]  # most probable first
     sizes: dict[str, Estimate]  # of the most probable set
     gains: dict[str, float]  # effect -> share of the decrease in deviance that is lost without it
-    unexplained: bool  # whether a common residual is significant
-    p_value: float  # of the most significant common residual
-    count: int  # landings
+    touchdowns: Touchdowns  # what the set leaves
 
     @property
     def names(self) -> EffectSet:
@@ -125,9 +123,8 @@ def contact_posterior(
     sets, chosen = engine.distribution()
     values = sets[0].values
     p_value = common_residual_p_value(problem.landings, engine.residual(values), engine.inflation)
-    unexplained = p_value < thresholds.LANDING_RESIDUAL
-    sizes, gains = engine.estimates(chosen), engine.gains(values)
-    return problem, ContactPosterior(sets, sizes, gains, unexplained, p_value, len(landings))
+    touchdowns = Touchdowns(len(landings), p_value < thresholds.LANDING_RESIDUAL, p_value)
+    return problem, ContactPosterior(sets, engine.estimates(chosen), engine.gains(values), touchdowns)
 
 
 @dataclasses.dataclass(frozen=True)

@@ -18,7 +18,7 @@ from inclined_landing.eval.gap.infer.contact import (
 from inclined_landing.eval.gap.infer.landing_reference import landing_reference
 from inclined_landing.eval.gap.infer.sets import confounded_with
 from inclined_landing.eval.gap.infer.touchdown_simulation import TouchdownProblem, static_deflection
-from inclined_landing.eval.gap.result import Estimate, ScoredSet, from_plain, marginal, plain
+from inclined_landing.eval.gap.result import Estimate, ScoredSet, Touchdowns, from_plain, marginal, plain
 from inclined_landing.models.effects import LIBRARY
 from inclined_landing.models.parameters import load_vehicle
 from tests.validation import landings as validation_landings
@@ -52,9 +52,7 @@ def judged(name, value, share):
         (probable, ScoredSet((), 1.0 - share)),
         {name: sized},
         {name: 1.0},
-        unexplained=False,
-        p_value=0.5,
-        count=12,
+        Touchdowns(12, unexplained=False, p_value=0.5),
     )
     return contact_effects(SimpleNamespace(library=LIBRARY), posterior)
 
@@ -131,7 +129,7 @@ def test_a_contact_effect_is_named_among_few(higher):
     assert found.sets[0].values["platform_height"]["offset"] == pytest.approx(offset, abs=0.003)
     low, high = found.sizes["platform_height"].ci95
     assert low < found.sets[0].values["platform_height"]["offset"] < high and high - low < 0.006
-    assert found.gains == {"platform_height": 1.0} and not found.unexplained
+    assert found.gains == {"platform_height": 1.0} and not found.touchdowns.unexplained
 
 
 def made_up(monkeypatch, landings, hidden, noise=1.0, seed=0):
@@ -256,7 +254,7 @@ def test_springs_and_dampers_are_no_sure_names(cause):
 def test_where_nothing_is_hidden_no_effect_of_contact_is_sure():
     """Two contact models are not alike: a false name may be the likeliest set, but is no certainty."""
     _, found = contact_posterior(landings_of(flown(None, 415)[0], VEHICLE), VEHICLE, LIBRARY)
-    assert max(found.probability(name) for name in LIBRARY) < 0.8 and not found.unexplained
+    assert max(found.probability(name) for name in LIBRARY) < 0.8 and not found.touchdowns.unexplained
 
 
 @pytest.mark.slow
