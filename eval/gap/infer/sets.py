@@ -12,7 +12,7 @@ import dataclasses
 import itertools
 import math
 from collections import defaultdict
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 
 import numpy as np
 from msgspec import structs
@@ -27,7 +27,7 @@ from inclined_landing.eval.gap.infer.gaussian import (
     flight_weights,
     prior_share,
 )
-from inclined_landing.eval.gap.model.columns import FittedValues, ParameterColumn, Values, fitting
+from inclined_landing.eval.gap.model.columns import Column, FittedValues, ParameterColumn, Values, fitting
 from inclined_landing.eval.gap.model.problem import Linearisation, Problem
 from inclined_landing.eval.gap.result import ScoredSet, marginal
 
@@ -97,12 +97,215 @@ def search(problem: Problem, joint: FittedValues) -> SetPosterior:
     linear = problem.linearise(joint, problem.all_columns())
     spread = Spread.of(problem, linear)
     eliminated = backward_eliminate(problem, LinearGaussian.of(problem, spread, linear).evidence())
-    nodes = _greedy_search(problem, spread, eliminated, joint)
-    best = max(nodes.values(), key=lambda node: node.score)
-    scored, nodes = _bagged_posterior(problem, spread, nodes, best)
+    fits = _Fits(problem, spread)
+    fits.search_greedily((frozenset(), eliminated), joint)
+    fits.drop_worse_than_subsets()
+    fits.exchange_effects_of_best()
+    best = fits.best
+    scored = fits.bagged_posterior(best)
     names = _most_probable(problem, scored)
-    chosen = nodes.get(names) or _fit_set(problem, spread, names, _linear_estimate(problem, best, names))
+    chosen = fits.by_set.get(names) or fits.fit(names, fits.linear_estimate(best, names))
     return SetPosterior(problem, linear, spread, chosen, scored)
+
+
+class _Fits:
+    """Sets of effects fitted through the simulator, and the search for the most probable ones."""
+
+    def __init__(self, problem: Problem, spread: Spread):
+        self.problem, self.spread = problem, spread
+        self.by_set: dict[EffectSet, FittedSet] = {}
+
+    @property
+    def best(self) -> FittedSet:
+        """Return the fit of the most probable set."""
+        return max(self.by_set.values(), key=lambda fit: fit.score)
+
+    def fit(self, names: EffectSet, start: Values, rough_below: float = -math.inf) -> FittedSet:
+        """Return the most probable of the fits of a set by Newton's method from `start`.
+
+        Each step linearises the flights and leads to the posterior mode. If that is less probable than the
+        best, the step before is halved. rough_below: log posterior probability below which a single step is
+        enough.
+        """
+        problem, library = self.problem, self.problem.library
+        values = {n: {**library[n].neutral, **start.get(n, {})} for n in library if n in names}
+        best, outside = None, FittedValues()  # values of effects that are not in the set
+        for _ in range(NEWTON_STEPS):
+            columns = problem.all_columns() + problem.form_columns(values)
+            local = self._linearised({**outside, **values}, columns)
+            mode, evidence = posterior_mode(problem, local, names), local.evidence()
+            outside = _requested(problem, local, names)
+            nonzero = _all_nonzero(problem, names, mode)
+            score = evidence(names) + log_prior(problem, names) if nonzero else -np.inf
+            here, following = problem.coordinates(values, columns), mode
+            step = problem.coordinates(mode, columns) - here
+            if best is None or score > best.score:
+                best = FittedSet(names, mode, local, evidence, score)
+            elif np.isfinite(best.score):
+                best_at = problem.coordinates(best.local.values, columns)
+                following, step = problem.values_at(names, columns, 0.5 * (best_at + here)), here - best_at
+            negligible = np.array([problem.parameter(c).negligible for c in columns])
+            if np.abs(step / negligible).max() < STEP_TOLERANCE or score < rough_below:
+                break
+            values = following
+        assert best is not None
+        return best
+
+    def _linearised(self, values: Values, columns: Sequence[Column]) -> LinearGaussian:
+        return LinearGaussian.of(self.problem, self.spread, self.problem.linearise(values, columns))
+
+    def linear_estimate(self, near: FittedSet, names: EffectSet) -> FittedValues:
+        """Return the linear estimate of a set near a fitted one, the initial guess of its fit."""
+        start = posterior_mode(self.problem, near.local, names)
+        return start | {n: dict(v) for n, v in near.values.items() if n in names}
+
+    def search_greedily(self, starts: Sequence[EffectSet], joint: Values) -> None:
+        """Fit the sets `starts`, and the neighbours that are predicted to be nearly as probable as the best.
+
+        These are neighbours of the best set, and of the empty one. joint: values that first fits begin at.
+        """
+        problem, fitted = self.problem, self.by_set
+        fitted |= {names: self.fit(names, joint) for names in starts}
+        for start in self._about_other_references():
+            fit = self.fit(frozenset(start), start)
+            if fit.names not in fitted or fit.score > fitted[fit.names].score:
+                fitted[fit.names] = fit
+        # Set -> its predicted log posterior probability, and the fit that this was predicted from.
+        predicted: dict[EffectSet, tuple[float, FittedSet]] = {}
+        far_starts: dict[EffectSet, FittedValues] = {}
+        expanded: set[EffectSet] = set()
+        while len(fitted) < MOST_FITS:
+            best = self.best
+            for fit in (fitted[n] for n in sorted({frozenset(), best.names} - expanded, key=len)):
+                expanded.add(fit.names)
+                for names in _neighbours(problem, fit):
+                    predicted[names] = (fit.evidence(names) + log_prior(problem, names), fit)
+                for name, (start, gain) in self._far_starts(fit.values).items():
+                    others = [n for n in problem.library[name].confused_with if n in fit.names]
+                    for names in (fit.names | {name}, *(fit.names - {n} | {name} for n in others)):
+                        if names not in fitted:
+                            far_starts[names] = start
+                            predicted[names] = (max(predicted[names][0], fit.score + gain), fit)
+            unfitted = [(score, names) for names, (score, _) in predicted.items() if names not in fitted]
+            if not unfitted:
+                break
+            score, names = max(unfitted, key=lambda item: (item[0], sorted(item[1])))
+            if score < best.score - FIT_WITHIN:
+                break
+            start = self.linear_estimate(predicted[names][1], names) | far_starts.get(names, {})
+            if _all_nonzero(problem, names, start):
+                fitted[names] = self.fit(names, start, best.score - ROUGH_BEYOND)
+            else:  # its predicted probability comes from values beyond the bounds
+                del predicted[names]
+
+    def _about_other_references(self) -> list[FittedValues]:
+        """Return single effects about the references of their starts, sized by the slopes there."""
+        problem, result = self.problem, []
+        for name, effect in problem.library.items():
+            for about in fitting(name).starts:
+                start = {name: {**effect.neutral, **about}}
+                ranges = {p: effect.parameter(p).possible for p in about}
+                within = all(ranges[p][0] <= x <= ranges[p][1] for p, x in about.items())
+                if within and not np.any(problem.sizes(name, start)):
+                    local = self._linearised(start, problem.all_columns())
+                    mode = posterior_mode(problem, local, frozenset(start))
+                    result.append({name: {**mode[name], **about}})
+        return result
+
+    def _far_starts(self, values: Values) -> dict[str, tuple[FittedValues, float]]:
+        """Return effects outside `values` that fit better from a distant start: that, and the gain [nat].
+
+        If an effect is not linear in its size, the slopes at neutral may show nothing.
+        """
+        squares, result = self.problem.squares, {}
+        here = squares(values)
+        for name, effect in self.problem.library.items():
+            starts = fitting(name).starts
+            if name in values or not starts:
+                continue
+            tried = [{**values, name: {**effect.neutral, **start}} for start in starts]
+            least, start = min(((squares(t), t) for t in tried), key=lambda one: one[0])
+            if here - least > 2.0 * FIT_WITHIN:
+                result[name] = {name: dict(start[name])}, 0.5 * (here - least)
+        return result
+
+    def drop_worse_than_subsets(self) -> None:
+        """Drop the sets whose simulation is worse than that of a subset: Newton's method led these astray.
+
+        First they are fitted again from the subset's values.
+        """
+        kept: dict[EffectSet, FittedSet] = {}
+        squares: dict[EffectSet, float] = {}
+        for names, fit in sorted(self.by_set.items(), key=lambda item: len(item[0])):
+            subset = min((n for n in kept if n < names), key=lambda n: squares[n], default=names)
+            most = (1.0 + SUBSET) * squares.get(subset, math.inf)
+            own = self.problem.squares(fit.values)
+            if own > most:
+                fit = self.fit(names, kept[subset].values)
+                own = self.problem.squares(fit.values)
+            if own <= most:
+                kept[names], squares[names] = fit, own
+        self.by_set = kept
+
+    def exchange_effects_of_best(self) -> None:
+        """Fit the most probable sets with one effect of the best set exchanged."""
+        best, candidates = self.best, []
+        for name in sorted(best.names):
+            rest = best.names - {name}
+            near = self.by_set.get(rest, best)  # adding is more nearly linear than exchanging
+            swaps = [rest | {n} for n in self.problem.library if n not in best.names]
+            swaps = sorted(swaps, key=lambda names: -near.evidence(names))[:EXCHANGES]
+            candidates += [names for names in swaps if names not in self.by_set]
+        for names in candidates:
+            start = self.linear_estimate(best, names)
+            if _all_nonzero(self.problem, names, start):
+                self.by_set[names] = self.fit(names, start, best.score - ROUGH_BEYOND)
+
+    def bagged_posterior(self, best: FittedSet) -> tuple[ScoredSet, ...]:
+        """Return the bagged posterior (Huggins and Miller 2023) of fitted sets and neighbours of the best.
+
+        Probable neighbours are fitted, for their values.
+        """
+        problem, fitted = self.problem, self.by_set
+        others = [n for n in _neighbours(problem, best) if n not in fitted]
+        near = [n for n in others if best.evidence(n) + log_prior(problem, n) > best.score - COMPARE_WITHIN]
+        starts = {n: self.linear_estimate(best, n) for n in near}
+        names = [n for n, fit in fitted.items() if np.isfinite(fit.score)]
+        names += [n for n, start in starts.items() if _all_nonzero(problem, n, start)]
+        probability: dict[EffectSet, float] = defaultdict(float)
+        for one, share in zip(names, self._bagged_probabilities(names)):
+            for subset, part in _relevant_subsets(problem, fitted.get(one, best).local, one).items():
+                probability[subset] += part * float(share)
+        result: list[ScoredSet] = []
+        for one in sorted(probability, key=lambda n: -probability[n]):
+            if probability[one] < thresholds.REPORTED and result:
+                continue
+            if one not in fitted:
+                values = starts.get(one) or self.linear_estimate(best, one)
+                if probability[one] > REFIT_ABOVE or not result:  # so far from the linearisation alone
+                    fitted[one] = self.fit(one, values)
+            if one in fitted:
+                values = fitted[one].values
+            result.append(ScoredSet(problem.ordered(one), probability[one], values))
+        return _simulated(problem, result)
+
+    def _bagged_probabilities(self, names: Sequence[EffectSet]) -> np.ndarray:
+        """Return the probabilities (k,) of sets, by the linearisations of the most probable fits.
+
+        All sets are compared in the same linearisations: their error cancels in the differences.
+        """
+        # p(S | data) = mean_b softmax_S [log p(S) + mean_k log p_k(data_b | S)], over bootstrap samples b of
+        # the flights and linearisations k.
+        fits = [fit for fit in self.by_set.values() if np.isfinite(fit.score)]
+        points = sorted(fits, key=lambda fit: -fit.score)[:LINEARISATIONS]
+        weights = flight_weights(self.problem.groups)
+        logs = np.tile([log_prior(self.problem, n) for n in names], (len(weights), 1)).T
+        for point in points:
+            for d, w in enumerate(weights):
+                evidence = point.local.evidence(w)
+                logs[:, d] += np.array([evidence(n) for n in names]) / len(points)
+        shares = np.exp(logs - logs.max(axis=0))
+        return (shares / shares.sum(axis=0)).mean(axis=1)
 
 
 def _most_probable(problem: Problem, scored: Sequence[ScoredSet]) -> EffectSet:
@@ -129,37 +332,6 @@ def log_prior(problem: Problem, names: EffectSet) -> float:
     # In addition to a load's mass and string, its swing at the start of every stretch is fitted: 4 numbers.
     begun = problem.swing_starts if "slung_load" in names else 0
     return len(names) * math.log(share / (1.0 - share)) - all_of * LEFT_OUT - begun * SWING_START
-
-
-def _fit_set(
-    problem: Problem, spread: Spread, names: EffectSet, start: Values, rough_below: float = -math.inf
-) -> FittedSet:
-    """Return the most probable of the fits of a set by Newton's method from `start`.
-
-    Each step linearises the flights and leads to the posterior mode. If that is less probable than the best,
-    the step before is halved. rough_below: log posterior probability below which a single step is enough.
-    """
-    values = {n: {**problem.library[n].neutral, **start.get(n, {})} for n in problem.library if n in names}
-    best, outside = None, FittedValues()  # values of effects that are not in the set
-    for _ in range(NEWTON_STEPS):
-        columns = problem.all_columns() + problem.form_columns(values)
-        local = LinearGaussian.of(problem, spread, problem.linearise({**outside, **values}, columns))
-        mode, evidence = posterior_mode(problem, local, names), local.evidence()
-        outside = _requested(problem, local, names)
-        score = evidence(names) + log_prior(problem, names) if _all_nonzero(problem, names, mode) else -np.inf
-        here, following = problem.coordinates(values, columns), mode
-        step = problem.coordinates(mode, columns) - here
-        if best is None or score > best.score:
-            best = FittedSet(names, mode, local, evidence, score)
-        elif np.isfinite(best.score):
-            best_at = problem.coordinates(best.local.values, columns)
-            following, step = problem.values_at(names, columns, 0.5 * (best_at + here)), here - best_at
-        negligible = np.array([problem.parameter(c).negligible for c in columns])
-        if np.abs(step / negligible).max() < STEP_TOLERANCE or score < rough_below:
-            break
-        values = following
-    assert best is not None
-    return best
 
 
 def _requested(problem: Problem, local: LinearGaussian, names: EffectSet) -> FittedValues:
@@ -195,61 +367,22 @@ def leave_one_out(
     return result
 
 
-def _linear_estimate(problem: Problem, node: FittedSet, names: EffectSet) -> FittedValues:
-    """Return the linear estimate of a neighbouring set, the initial guess of its fit."""
-    start = posterior_mode(problem, node.local, names)
-    return start | {n: dict(v) for n, v in node.values.items() if n in names}
-
-
-def _far_starts(problem: Problem, values: Values) -> dict[str, tuple[FittedValues, float]]:
-    """Return effects outside `values` that fit better from a distant start: that start, and the gain [nat].
-
-    If an effect is not linear in its size, the slopes at neutral may show nothing.
-    """
-    here, result = problem.squares(values), {}
-    for name, effect in problem.library.items():
-        starts = fitting(name).starts
-        if name in values or not starts:
-            continue
-        tried = [{**values, name: {**effect.neutral, **start}} for start in starts]
-        least, start = min(((problem.squares(t), t) for t in tried), key=lambda one: one[0])
-        if here - least > 2.0 * FIT_WITHIN:
-            result[name] = {name: dict(start[name])}, 0.5 * (here - least)
-    return result
-
-
-def _other_references(problem: Problem, spread: Spread) -> list[FittedValues]:
-    """Return single effects about the references of their starts, sized by the slopes there."""
-    result = []
-    for name, effect in problem.library.items():
-        for about in fitting(name).starts:
-            start = {name: {**effect.neutral, **about}}
-            within = all(
-                effect.parameter(p).possible[0] <= x <= effect.parameter(p).possible[1]
-                for p, x in about.items()
-            )
-            if within and not np.any(problem.sizes(name, start)):
-                local = LinearGaussian.of(problem, spread, problem.linearise(start, problem.all_columns()))
-                result.append({name: {**posterior_mode(problem, local, frozenset(start))[name], **about}})
-    return result
-
-
-def _neighbours(problem: Problem, node: FittedSet) -> list[EffectSet]:
+def _neighbours(problem: Problem, fit: FittedSet) -> list[EffectSet]:
     """Return the sets that differ by one effect added, removed or exchanged, or by two added.
 
     Or by two of three that are a combination of each other exchanged for the third.
     """
     # Both lists have the library's order, because that of sets differs from process to process.
-    held = [n for n in problem.library if n in node.names]
-    others = [n for n in problem.library if n not in node.names]
-    result = [node.names - {n} for n in held]
-    if len(node.names) < MOST_EFFECTS:
-        result += [node.names | {n} for n in others]
-    result += [(node.names - {n}) | {m} for n in held for m in others]
+    held = [n for n in problem.library if n in fit.names]
+    others = [n for n in problem.library if n not in fit.names]
+    result = [fit.names - {n} for n in held]
+    if len(fit.names) < MOST_EFFECTS:
+        result += [fit.names | {n} for n in others]
+    result += [(fit.names - {n}) | {m} for n in held for m in others]
     redundant = (of for of in REDUNDANT if len(of) == 3 and of <= problem.library.keys())
-    result += [node.names ^ of for of in redundant if len(of & node.names) == 2]
-    if len(node.names) + 2 <= MOST_EFFECTS:
-        result += [node.names | set(pair) for pair in itertools.combinations(others, 2)]
+    result += [fit.names ^ of for of in redundant if len(of & fit.names) == 2]
+    if len(fit.names) + 2 <= MOST_EFFECTS:
+        result += [fit.names | set(pair) for pair in itertools.combinations(others, 2)]
     return result
 
 
@@ -266,130 +399,6 @@ def backward_eliminate(problem: Problem, evidence: Evidence) -> EffectSet:
             break
         kept = fewer
     return kept
-
-
-def _greedy_search(
-    problem: Problem, spread: Spread, eliminated: EffectSet, values: Values
-) -> dict[EffectSet, FittedSet]:
-    """Return the sets fitted by a greedy search from the empty set and from `eliminated`."""
-    nodes = {names: _fit_set(problem, spread, names, values) for names in (frozenset[str](), eliminated)}
-    for start in _other_references(problem, spread):
-        node = _fit_set(problem, spread, frozenset(start), start)
-        if node.score > nodes.get(node.names, node).score or node.names not in nodes:
-            nodes[node.names] = node
-    predicted: dict[EffectSet, tuple[float, FittedSet]] = {}
-    expanded: set[EffectSet] = set()
-    far: dict[EffectSet, FittedValues] = {}
-    while len(nodes) < MOST_FITS:
-        best = max(nodes.values(), key=lambda node: node.score)
-        for node in (nodes[n] for n in sorted({frozenset(), best.names} - expanded, key=len)):
-            expanded.add(node.names)
-            for names in _neighbours(problem, node):
-                predicted[names] = (node.evidence(names) + log_prior(problem, names), node)
-            for name, (start, gain) in _far_starts(problem, node.values).items():
-                others = [n for n in problem.library[name].confused_with if n in node.names]
-                for names in (node.names | {name}, *(node.names - {n} | {name} for n in others)):
-                    if names not in nodes:
-                        far[names] = start
-                        predicted[names] = (max(predicted[names][0], node.score + gain), node)
-        unfitted = [(score, names) for names, (score, _) in predicted.items() if names not in nodes]
-        if not unfitted:
-            break
-        score, names = max(unfitted, key=lambda item: (item[0], sorted(item[1])))
-        if score < best.score - FIT_WITHIN:
-            break
-        start = _linear_estimate(problem, predicted[names][1], names) | far.get(names, {})
-        if _all_nonzero(problem, names, start):
-            nodes[names] = _fit_set(problem, spread, names, start, best.score - ROUGH_BEYOND)
-        else:  # its predicted probability comes from values beyond the bounds
-            del predicted[names]
-    nodes = _no_worse_than_subsets(problem, spread, nodes)
-    best = max(nodes.values(), key=lambda node: node.score)
-    for names in _exchange_candidates(problem, best, nodes):
-        start = _linear_estimate(problem, best, names)
-        if _all_nonzero(problem, names, start):
-            nodes[names] = _fit_set(problem, spread, names, start, best.score - ROUGH_BEYOND)
-    return nodes
-
-
-def _no_worse_than_subsets(
-    problem: Problem, spread: Spread, nodes: Mapping[EffectSet, FittedSet]
-) -> dict[EffectSet, FittedSet]:
-    """Return the fitted sets without those whose simulation is worse than that of a subset.
-
-    Newton's method has led these astray. First they are fitted again from the subset's values.
-    """
-    kept: dict[EffectSet, FittedSet] = {}
-    squares: dict[EffectSet, float] = {}
-    for names, node in sorted(nodes.items(), key=lambda item: len(item[0])):
-        subset = min((n for n in kept if n < names), key=lambda n: squares[n], default=names)
-        most = (1.0 + SUBSET) * squares.get(subset, math.inf)
-        own = problem.squares(node.values)
-        if own > most:
-            node = _fit_set(problem, spread, names, kept[subset].values)
-            own = problem.squares(node.values)
-        if own <= most:
-            kept[names], squares[names] = node, own
-    return kept
-
-
-def _exchange_candidates(
-    problem: Problem, best: FittedSet, nodes: dict[EffectSet, FittedSet]
-) -> list[EffectSet]:
-    """Return the most probable sets with one effect of the best set exchanged, not fitted yet."""
-    result = []
-    for name in sorted(best.names):
-        rest = best.names - {name}
-        node = nodes.get(rest, best)  # adding is more nearly linear than exchanging
-        swaps = [rest | {n} for n in problem.library if n not in best.names]
-        swaps = sorted(swaps, key=lambda names: -node.evidence(names))[:EXCHANGES]
-        result += [names for names in swaps if names not in nodes]
-    return result
-
-
-def _bagged_posterior(
-    problem: Problem, spread: Spread, nodes: Mapping[EffectSet, FittedSet], best: FittedSet
-) -> tuple[tuple[ScoredSet, ...], dict[EffectSet, FittedSet]]:
-    """Return the bagged posterior (Huggins and Miller 2023) of fitted sets and neighbours of the best.
-
-    All sets are compared in the same linearisations: their error cancels in the differences. Returned are
-    the fitted sets too, with probable ones that were fitted for their values.
-    """
-    nodes = dict(nodes)
-    weights = flight_weights(problem.groups)
-    others = [n for n in _neighbours(problem, best) if n not in nodes]
-    scores = {n: best.evidence(n) + log_prior(problem, n) for n in others}
-    starts = {
-        n: _linear_estimate(problem, best, n) for n, x in scores.items() if x > best.score - COMPARE_WITHIN
-    }
-    fitted = {n: node for n, node in nodes.items() if np.isfinite(node.score)}
-    names = [*fitted, *(n for n, start in starts.items() if _all_nonzero(problem, n, start))]
-    # p(S | data) = mean_b softmax_S [log p(S) + mean_k log p_k(data_b | S)], over bootstrap samples b of the
-    # flights and linearisations k.
-    points = sorted(fitted.values(), key=lambda node: -node.score)[:LINEARISATIONS]
-    logs = np.tile([log_prior(problem, n) for n in names], (len(weights), 1)).T
-    for node in points:
-        for d, w in enumerate(weights):
-            evidence = node.local.evidence(w)
-            logs[:, d] += np.array([evidence(n) for n in names]) / len(points)
-    shares = np.exp(logs - logs.max(axis=0))
-    probability: dict[EffectSet, float] = {}
-    for one, share in zip(names, (shares / shares.sum(axis=0)).mean(axis=1)):
-        for subset, part in _relevant_subsets(problem, nodes.get(one, best).local, one).items():
-            probability[subset] = probability.get(subset, 0.0) + part * float(share)
-    result: list[ScoredSet] = []
-    for one in sorted(probability, key=lambda n: -probability[n]):
-        if probability[one] < thresholds.REPORTED and result:
-            continue
-        if one in nodes:
-            values = nodes[one].values
-        else:
-            values = starts.get(one) or _linear_estimate(problem, best, one)
-            if probability[one] > REFIT_ABOVE or not result:  # so far from the linearisation alone
-                nodes[one] = _fit_set(problem, spread, one, values)
-                values = nodes[one].values
-        result.append(ScoredSet(problem.ordered(one), probability[one], values))
-    return _simulated(problem, result), nodes
 
 
 def _simulated(problem: Problem, sets: Sequence[ScoredSet]) -> tuple[ScoredSet, ...]:
