@@ -46,7 +46,7 @@ def command(
         found = None
         if flights.reference:
             found = identify(flights.reference, nominal, platform=source.platform)
-            nominal, _, _ = files.described(found)
+            nominal = files.as_written(found)
             known, notes = found.reference, (*notes, *found.notes)
             notes = (*notes, identified.headline(found)) if found.worse else notes
         else:
@@ -76,7 +76,7 @@ def command(
                 files.write_identified(found, kept.parent, base=source.vehicle)
             elif source.vehicle:
                 files.keep_vehicle(source.vehicle, kept)
-            files.write(d, nominal, folder, base=kept if found else source.vehicle)
+            files.write_corrected(d, nominal, folder, base=kept if found else source.vehicle)
             answer = d.to_json() | {"summary": words.how_much(d)}
             page.write_report(folder, "gap", html, answer, source, began, versions, images)
         written = out

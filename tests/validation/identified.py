@@ -16,7 +16,7 @@ import tyro
 
 from inclined_landing.eval.gap.answer.identification import Identification, identify
 from inclined_landing.eval.gap.answer.rollout import measure_gap
-from inclined_landing.eval.gap.report.files import described, write_posterior
+from inclined_landing.eval.gap.report.files import as_written, sources_and_uncertainties, write_posterior
 from inclined_landing.eval.logs import FlightLog
 from inclined_landing.models.base import storage
 from inclined_landing.models.base.errors import UserError
@@ -124,7 +124,7 @@ def _cm(judged: Mapping, k: int) -> str:
 
 def write(path: Path, name: str, entry: Mapping, found: Identification, judged: Sequence[Mapping]) -> None:
     """Write the vehicle file with where it comes from, and its posterior beside it."""
-    vehicle, sources, widths = described(found)
+    vehicle, (sources, widths) = as_written(found), sources_and_uncertainties(found)
     write_vehicle(
         path,
         vehicle,

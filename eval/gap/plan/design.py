@@ -153,12 +153,16 @@ class _Search:
             return None
         return self.discrimination.gram(self.discrimination.flight(points, platform=self.space.platform))
 
-    def gain(self, chosen: Sequence[Piece]) -> float:
-        """Return the information gain [nat] of pieces about the sets; -1 where one is not safe."""
+    def _gram_of(self, chosen: Sequence[Piece]) -> np.ndarray | None:
+        """Return the Gram matrix (P, P) of some pieces, which add up; None where one is not safe."""
         grams = [g for p in chosen if (g := self._information[p]) is not None]
-        if len(grams) < len(chosen) or not grams:
-            return -1.0
-        return self.discrimination.gain(np.sum(grams, axis=0))  # information is additive
+        nothing = np.zeros(2 * self.discrimination.free.shape[1:])
+        return np.sum([nothing, *grams], axis=0) if len(grams) == len(chosen) else None
+
+    def gain(self, chosen: Sequence[Piece]) -> float:
+        """Return the information gain [nat] of pieces about the sets; -1 where one is not safe, or none."""
+        gram = self._gram_of(chosen)
+        return -1.0 if gram is None or not chosen else self.discrimination.gain(gram)
 
     def best(self) -> tuple[list[Piece], np.ndarray | None]:
         """Return the pieces of the largest information gain: greedy choice, then random local search.
@@ -178,9 +182,7 @@ class _Search:
         far = self._greedy_choice([p for p in (self.pool if self.turning else held) if not p.near])
         if not self._worth(chosen, far):
             return self._refined(far), None
-        grams = [g for p in far if (g := self._information[p]) is not None]
-        none = np.zeros(2 * self.discrimination.free.shape[1:])
-        return self._raised(chosen), np.sum([none, *grams], axis=0)
+        return self._raised(chosen), self._gram_of(far)
 
     def _worth(self, more: Sequence[Piece], less: Sequence[Piece]) -> bool:
         """Return whether one choice of pieces is worth flying because it is so much more informative."""
@@ -221,11 +223,8 @@ class _Search:
         """Return what a flight adds to the right set's expected probability; -1 where it is not safe."""
         if not chosen:
             return 0.0
-        grams = [g for p in chosen if (g := self._information[p]) is not None]
-        if len(grams) < len(chosen):
-            return -1.0
-        p = self.discrimination.probabilities
-        return float(p @ (np.diag(self.discrimination.forecast(np.sum(grams, axis=0))) - p))
+        gram, p = self._gram_of(chosen), self.discrimination.probabilities
+        return -1.0 if gram is None else float(p @ (np.diag(self.discrimination.forecast(gram)) - p))
 
     def _greedy_choice(self, pool: Sequence[Piece]) -> list[Piece]:
         """Return pieces added by their gain per second until time is up (lazy greedy, Minoux 1978).

@@ -23,7 +23,7 @@ VEHICLE, MJCF = "vehicle.toml", "landing.xml"
 Uncertainty = float | tuple[float, ...] | str  # half-width of a 95 % interval, of each number, or "not known"
 
 
-def write(d: Diagnosis, vehicle: Vehicle, folder: Path, *, base: Path | None = None) -> None:
+def write_corrected(d: Diagnosis, vehicle: Vehicle, folder: Path, *, base: Path | None = None) -> None:
     """Write vehicle.toml and landing.xml of the corrected vehicle into `folder`.
 
     vehicle: the one diagnosed, as the vehicle file `base` (default: the shipped one) gives it.
@@ -53,7 +53,8 @@ def write(d: Diagnosis, vehicle: Vehicle, folder: Path, *, base: Path | None = N
 def write_identified(found: Identification, folder: Path, *, base: Path | None = None) -> None:
     """Write vehicle.toml and its posterior into `folder`; base: the vehicle file that it started from."""
     heading = "Identified by landing-eval identify.\nEvery command accepts it with --vehicle."
-    write_vehicle(folder / VEHICLE, *described(found), base=base, heading=heading)
+    sources, uncertainties = sources_and_uncertainties(found)
+    write_vehicle(folder / VEHICLE, as_written(found), sources, uncertainties, base=base, heading=heading)
     write_posterior(folder / VEHICLE, found.reference)
 
 
@@ -71,8 +72,14 @@ def write_posterior(vehicle: Path, reference: VehiclePosterior) -> None:
     storage.write_text(posterior_path(vehicle), text + "\n")
 
 
-def described(found: Identification) -> tuple[Vehicle, dict[str, str], dict[str, Any]]:
-    """Return the vehicle with its flights' disturbance; sources and uncertainties of what was fitted."""
+def as_written(found: Identification) -> Vehicle:
+    """Return the identified vehicle as its file gives it: digits that a person can read, and disturbance."""
+    disturbance, _ = disturbance_fields(found.disturbance)
+    return dataclasses.replace(rounded_fields(found.vehicle, found.fields), **disturbance)
+
+
+def sources_and_uncertainties(found: Identification) -> tuple[dict[str, str], dict[str, Any]]:
+    """Return the source and the uncertainty of every field of an identified vehicle that was fitted."""
     by_field: dict[str, list[Identified]] = {}
     for p in found.parameters:
         by_field.setdefault(p.field, []).append(p)
@@ -83,11 +90,8 @@ def described(found: Identification) -> tuple[Vehicle, dict[str, str], dict[str,
     }
     disturbance, widths = disturbance_fields(found.disturbance)
     lines = f"estimated by landing-eval identify from {len(found.flights)} flights"
-    return (
-        dataclasses.replace(rounded_fields(found.vehicle, found.fields), **disturbance),
-        sources | dict.fromkeys(disturbance, lines),
-        {field: rounded(width) for field, width in found.fields.items()} | widths,
-    )
+    fitted = {field: rounded(width) for field, width in found.fields.items()}
+    return sources | dict.fromkeys(disturbance, lines), fitted | widths
 
 
 def provenance(d: Diagnosis, vehicle: Vehicle) -> tuple[dict[str, str], dict[str, Uncertainty]]:

@@ -512,7 +512,7 @@ def test_flights_that_contradict_the_others_are_said_before_the_answer(capsys):
 
 def test_the_corrected_model_is_a_vehicle_file_with_provenance(tmp_path):
     d = example()
-    files.write(d, load_vehicle(), tmp_path)
+    files.write_corrected(d, load_vehicle(), tmp_path)
     disturbance = {
         "disturbance_acceleration": (0.0, 0.0, 0.3),
         "disturbance_acceleration_time": (0.0, 0.0, 0.25),
@@ -537,7 +537,7 @@ def test_the_corrected_model_is_a_vehicle_file_with_provenance(tmp_path):
 
 def test_the_corrected_mjcf_loads_in_plain_mujoco(tmp_path):
     d = example()
-    files.write(d, load_vehicle(), tmp_path)
+    files.write_corrected(d, load_vehicle(), tmp_path)
     code = "import mujoco, sys; print(mujoco.MjModel.from_xml_path(sys.argv[1]).nplugin)"
     done = subprocess.run(
         [sys.executable, "-c", code, tmp_path / "landing.xml"], capture_output=True, text=True, cwd=tmp_path
