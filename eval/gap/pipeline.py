@@ -148,6 +148,7 @@ def named_effects(
         too_small = least > 0.0 and not ahead[name].cost > least
         cancelled = may_cancel and name in sizes.WEIGHT
         doubt = _doubt(problem, name, ahead[name].along, too_small, cancelled)
+        doubt = doubt or _doubt_next_to(library, name, [one.name for one in result])
         result.append(
             NamedEffect(
                 name=name,
@@ -158,7 +159,7 @@ def named_effects(
                 remedy=library[LOOP if parts else name].remedy,
                 cost=ahead[name].cost,
                 product=sizes.product(found, values, name) if library[name].product else None,
-                doubt=doubt or _doubt_next_to(library, name, [one.name for one in result]),
+                doubt=doubt,
                 parts=parts,
             )
         )
@@ -222,9 +223,9 @@ def _doubt_next_to(library: Mapping[str, Effect], name: str, larger: Sequence[st
 
     No loop is quite of the modelled form: what is confused with a change makes up for the errors of its form.
     """
-    loops = {n for n in (name, *larger) if selection.LOOPS.issuperset(library[n].channels)}
     for other in larger:
-        if {name, other} <= loops and other in library[name].confused_with:
+        both_loops = all(selection.LOOPS.issuperset(library[n].channels) for n in (name, other))
+        if both_loops and other in library[name].confused_with:
             return f"In doubt, because it may be a part of the {other.replace('_', ' ')}."
     return ""
 

@@ -157,16 +157,9 @@ def simulate(
     Flights without attitude commands follow the measured attitude, by the equations in either plant.
     perturbation: (n, 12) added to position, velocity, attitude and body rates of the start states.
     """
-    if perturbation is not None:
-        return _simulated(starts, vehicle, plant, perturbation)
-    if (plant, vehicle) not in starts._poses:
-        starts._poses[plant, vehicle] = _simulated(starts, vehicle, plant)
-    return starts._poses[plant, vehicle]
-
-
-def _simulated(
-    starts: RolloutWindows, vehicle: Vehicle, plant: str, perturbation: np.ndarray | None = None
-) -> np.ndarray:
+    key = plant, vehicle
+    if perturbation is None and key in starts._poses:
+        return starts._poses[key]
     vehicle = as_flown(starts.flights[0], vehicle)
     driven = [delayed_commands(f.command, f.dt, vehicle) for f in starts.flights]
     commands = starts.gather([c for c, _ in driven])
@@ -195,6 +188,8 @@ def _simulated(
     if driven_by_attitude.any():
         pose[driven_by_attitude, :, :3] = along_measured_attitude(starts, vehicle)[driven_by_attitude]
         pose[driven_by_attitude, :, 3:] = starts.measured()[driven_by_attitude, :, 3:]
+    if perturbation is None:
+        starts._poses[key] = pose
     return pose
 
 
@@ -305,12 +300,11 @@ def errors_by_flight(
     starts: RolloutWindows, vehicle: Vehicle | Sequence[Vehicle], plant: str = "analytic"
 ) -> np.ndarray:
     """Return `position_error` (rows,); each flight may have its own vehicle."""
-    if not isinstance(vehicle, Vehicle) and len(set(vehicle)) == 1:
-        vehicle = vehicle[0]
-    if isinstance(vehicle, Vehicle):
-        return position_error(simulate(starts, vehicle, plant), starts.measured())
+    vehicles = [vehicle] if isinstance(vehicle, Vehicle) else vehicle
+    if len(set(vehicles)) == 1:
+        return position_error(simulate(starts, vehicles[0], plant), starts.measured())
     squares, total = 0.0, 0
-    for part, own in starts.by_flight(vehicle):
+    for part, own in starts.by_flight(vehicles):
         squares = squares + len(part) * position_error(simulate(part, own, plant), part.measured()) ** 2
         total += len(part)
     return np.sqrt(squares / total)

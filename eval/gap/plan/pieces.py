@@ -214,12 +214,16 @@ class Setpoints(Trajectory):
     path: Path
 
     def log(self, name: str, noise: np.ndarray) -> FlightLog:
-        """Return the flight as tracked perfectly and measured with noise (6,) [m, rad], seed 0."""
-        rng = np.random.default_rng(0)
-        measured = np.hstack([self.position, self.attitude])
-        measured = measured + noise * rng.standard_normal(measured.shape)
-        untouched = np.zeros(len(measured), bool)
-        return FlightLog(name, self.t, measured[:, :3], measured[:, 3:], self.command, contact=untouched)
+        """Return the flight as tracked perfectly and measured with noise (6,) [m, rad]."""
+        return measured_log(name, self.t, np.hstack([self.position, self.attitude]), self.command, noise)
+
+
+def measured_log(
+    name: str, t: np.ndarray, pose: np.ndarray, command: np.ndarray, noise: np.ndarray
+) -> FlightLog:
+    """Return the log of a simulated flight whose pose (m, 6) is measured with noise (6,) [m, rad], seed 0."""
+    pose = pose + noise * np.random.default_rng(0).standard_normal(pose.shape)
+    return FlightLog(name, t, pose[:, :3], pose[:, 3:], command, contact=np.zeros(len(t), bool))
 
 
 def setpoints(path: Path, vehicle: Vehicle) -> Setpoints:

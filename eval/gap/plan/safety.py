@@ -17,7 +17,7 @@ from inclined_landing.envs.hover import TOLERANCE
 from inclined_landing.eval.flying.fence import beyond_fence
 from inclined_landing.eval.flying.tracking import Tracker
 from inclined_landing.eval.gap.plan.information import NoiseLevels
-from inclined_landing.eval.gap.plan.pieces import MARGIN, RATE, Setpoints, Space
+from inclined_landing.eval.gap.plan.pieces import MARGIN, RATE, Setpoints, Space, measured_log
 from inclined_landing.eval.logs import FlightLog
 from inclined_landing.models.attitude import LAG, PITCH, ROLL, STATE_SIZE, VX, YAW, X, Z, rotations
 from inclined_landing.models.geometry import reach_below
@@ -88,18 +88,14 @@ class Flown:
     period: float  # s, of a control step
 
     def log(self, noise: np.ndarray) -> FlightLog:
-        """Return the first copy's flight, that of the set's own values, measured at RATE.
-
-        noise (6,) [m, rad] of the pose, seed 0.
-        """
-        rng = np.random.default_rng(0)
+        """Return the first copy's flight, that of the set's own values, measured at RATE with noise (6,)."""
         given = np.arange(self.states.shape[1]) * self.period
         t = np.arange(round(given[-1] * RATE) + 1) / RATE
         pose = np.hstack([self.states[0, :, X : Z + 1], np.unwrap(self.states[0, :, ROLL : YAW + 1], axis=0)])
         # Rows of states are those at the end of their control step, after the command of the row.
-        pose = CubicSpline(given + self.period, pose)(t) + noise * rng.standard_normal((len(t), 6))
+        pose = CubicSpline(given + self.period, pose)(t)
         command = self.commands[0, np.minimum((t / self.period + 1e-6).astype(int), len(given) - 1)]
-        return FlightLog("simulated", t, pose[:, :3], pose[:, 3:], command, contact=np.zeros(len(t), bool))
+        return measured_log("simulated", t, pose, command, noise)
 
 
 def simulate_plan(

@@ -102,13 +102,10 @@ def fill_in(
     for one in sections:
         one.tables = [table for table in one.tables if table.rows]
     shown = [one for one in sections if any(one.text) or one.tables or one.figures]
-    lead = " ".join([*map(words.set_aside, found.set_aside), *_inconsistencies(found), lead])
+    contradictions = [line for one in found.inconsistent_flights for line in words.inconsistency(one)]
+    lead = " ".join([*map(words.set_aside, found.set_aside), *contradictions, lead])
     run = f"landing-eval {command}"
     return of_sections(shown, images, title=title, lead=lead, run=run, versions=versions)
-
-
-def _inconsistencies(found: Diagnosis | Identification) -> list[str]:
-    return [sentence for one in found.inconsistent_flights for sentence in words.inconsistency(one)]
 
 
 def effect_table(d: Diagnosis) -> Table:

@@ -88,16 +88,14 @@ def sizes(effect: NamedEffect) -> dict[str, Estimate]:
 
 def size_rows(effect: NamedEffect) -> tuple[tuple[str, str, str], ...]:
     """Return parameter ("" for one alone), value and 95 % interval of the sizes of an equivalence class."""
-    parts = {name: p for name, p in sizes(effect).items() if is_identifiable(p)}
+    # Without what an effect is relative to, which the flights do not show.
+    shown = {
+        n: p for n, p in sizes(effect).items() if not p.per_flight or any(map(math.isfinite, p.per_flight))
+    }
     return tuple(
-        (label(name) if len(parts) > 1 else "", value(p), interval(p.ci95, p.unit))
-        for name, p in parts.items()
+        (label(name) if len(shown) > 1 else "", value(p), interval(p.ci95, p.unit))
+        for name, p in shown.items()
     )
-
-
-def is_identifiable(p: Estimate) -> bool:
-    """Return whether the flights show a parameter: not what an effect is relative to."""
-    return any(map(math.isfinite, p.per_flight)) or not p.per_flight
 
 
 def sentence(effect: NamedEffect) -> str:
