@@ -31,7 +31,7 @@ def command(
     from inclined_landing.envs.shared.progress import stages
     from inclined_landing.eval.gap import diagnose
     from inclined_landing.eval.gap.answer.identification import identify
-    from inclined_landing.eval.gap.flights.usable import read_flights
+    from inclined_landing.eval.gap.measured.usable import read_flights
     from inclined_landing.eval.gap.model.reference import read_reference
     from inclined_landing.eval.gap.report import files, identified, page, words
     from inclined_landing.eval.gap.result import REFERENCE

@@ -20,7 +20,7 @@ def command(source: Flat[FlightSource], out: RunFolder) -> None:
     from inclined_landing.envs.shared import runs
     from inclined_landing.envs.shared.progress import stages
     from inclined_landing.eval.gap.answer.identification import identify
-    from inclined_landing.eval.gap.flights.usable import read_flights
+    from inclined_landing.eval.gap.measured.usable import read_flights
     from inclined_landing.eval.gap.report import files, identified, page
     from inclined_landing.models.parameters import load_vehicle
 

@@ -13,13 +13,13 @@ from inclined_landing.eval.gap import thresholds
 from inclined_landing.eval.gap.answer import selection, sizes
 from inclined_landing.eval.gap.answer.selection import Displacement
 from inclined_landing.eval.gap.answer.touchdown import contact_answer
-from inclined_landing.eval.gap.flights.usable import check_unused, usable_flights
-from inclined_landing.eval.gap.flights.windows import MeasuredFlight
 from inclined_landing.eval.gap.infer.fit import estimate_noise
 from inclined_landing.eval.gap.infer.gaussian import prior_share
 from inclined_landing.eval.gap.infer.heterogeneity import inconsistent_flights, summary_line
 from inclined_landing.eval.gap.infer.residual import analyse_residual
 from inclined_landing.eval.gap.infer.sets import SetPosterior, equivalence_class, search
+from inclined_landing.eval.gap.measured.usable import check_unused, usable_flights
+from inclined_landing.eval.gap.measured.windows import MeasuredFlight
 from inclined_landing.eval.gap.model.columns import Candidates, FittedValues, Values
 from inclined_landing.eval.gap.model.problem import Problem, identifiable_effects
 from inclined_landing.eval.gap.model.reference import VehiclePosterior

@@ -8,7 +8,7 @@ import math
 import numpy as np
 
 from inclined_landing.eval.gap.answer.rollout import RolloutWindows, simulate
-from inclined_landing.eval.gap.flights.windows import MeasuredFlight, prepare
+from inclined_landing.eval.gap.measured.windows import MeasuredFlight, prepare
 from inclined_landing.eval.logs import FlightLog
 from inclined_landing.eval.logs.log import runs
 from inclined_landing.eval.replay.recording import MEASURED, SIMULATED, Recording

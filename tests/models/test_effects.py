@@ -17,7 +17,7 @@ import pytest
 from scipy.signal import detrend
 
 from inclined_landing.eval.gap.answer.rollout import RolloutWindows, simulate
-from inclined_landing.eval.gap.flights.windows import prepare
+from inclined_landing.eval.gap.measured.windows import prepare
 from inclined_landing.eval.gap.model.prediction import predict, predictor
 from inclined_landing.eval.logs import FlightLog
 from inclined_landing.eval.truth.equivalence.flying import full_steps, largest_gaps, start_states

@@ -24,8 +24,8 @@ from scipy import stats
 from inclined_landing.envs.shared.statistics import proportion
 from inclined_landing.eval.gap import diagnose
 from inclined_landing.eval.gap.answer.identification import Identification, identify
-from inclined_landing.eval.gap.flights.windows import prepare_all
 from inclined_landing.eval.gap.infer.fit import fit_least_squares
+from inclined_landing.eval.gap.measured.windows import prepare_all
 from inclined_landing.eval.gap.model.problem import Problem
 from inclined_landing.eval.gap.result import Diagnosis
 from inclined_landing.eval.logs import FlightLog, read_log

@@ -17,9 +17,9 @@ from msgspec import Meta
 from inclined_landing.envs.shared.statistics import proportion
 from inclined_landing.eval.base.options import Folder
 from inclined_landing.eval.gap.answer.touchdown import contact_effects
-from inclined_landing.eval.gap.flights.landings import LandingReference, landings_of
 from inclined_landing.eval.gap.infer.contact import contact_posterior
 from inclined_landing.eval.gap.infer.landing_reference import landing_reference
+from inclined_landing.eval.gap.measured.landings import LandingReference, landings_of
 from inclined_landing.eval.logs import FlightLog
 from inclined_landing.models.effects import LIBRARY
 from inclined_landing.models.parameters import load_vehicle

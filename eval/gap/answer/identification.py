@@ -21,9 +21,6 @@ from inclined_landing.eval.gap import thresholds
 from inclined_landing.eval.gap.answer import rollout
 from inclined_landing.eval.gap.answer.selection import Refit
 from inclined_landing.eval.gap.answer.sizes import disturbances, half_width
-from inclined_landing.eval.gap.flights.landings import LandingReference
-from inclined_landing.eval.gap.flights.usable import UsableFlights, fingerprint, usable_flights
-from inclined_landing.eval.gap.flights.windows import REGIMES, MeasuredFlight
 from inclined_landing.eval.gap.infer.fit import (
     deviance,
     estimate_noise,
@@ -36,6 +33,9 @@ from inclined_landing.eval.gap.infer.heterogeneity import inconsistent_flights, 
 from inclined_landing.eval.gap.infer.landing_reference import landing_reference
 from inclined_landing.eval.gap.infer.residual import reference_residual, white_residuals
 from inclined_landing.eval.gap.infer.sets import leave_one_out
+from inclined_landing.eval.gap.measured.landings import LandingReference
+from inclined_landing.eval.gap.measured.usable import UsableFlights, fingerprint, usable_flights
+from inclined_landing.eval.gap.measured.windows import REGIMES, MeasuredFlight
 from inclined_landing.eval.gap.model.columns import (
     BASE,
     BaseColumn,

@@ -16,7 +16,13 @@ import numba
 import numpy as np
 import scipy  # whose submodules are imported when they are used
 
-from inclined_landing.eval.gap.flights.windows import SMOOTHING, MeasuredFlight, earlier, prepare, remove_tilt
+from inclined_landing.eval.gap.measured.windows import (
+    SMOOTHING,
+    MeasuredFlight,
+    earlier,
+    prepare,
+    remove_tilt,
+)
 from inclined_landing.eval.gap.model.prediction import (
     angle_integrals,
     as_flown,

@@ -12,7 +12,6 @@ import numpy as np
 from inclined_landing.eval.gap import thresholds
 from inclined_landing.eval.gap.answer import rollout
 from inclined_landing.eval.gap.answer.sizes import estimates, loop_pieces, response
-from inclined_landing.eval.gap.flights.windows import REGIMES, MeasuredFlight
 from inclined_landing.eval.gap.infer import residual
 from inclined_landing.eval.gap.infer.fit import (
     field_half_widths,
@@ -28,6 +27,7 @@ from inclined_landing.eval.gap.infer.sets import (
     leave_one_out,
     posterior_mode,
 )
+from inclined_landing.eval.gap.measured.windows import REGIMES, MeasuredFlight
 from inclined_landing.eval.gap.model.columns import FittedValues, Values, slab_deviations, without
 from inclined_landing.eval.gap.model.prediction import channels_of
 from inclined_landing.eval.gap.model.problem import Problem

@@ -8,11 +8,11 @@ from collections.abc import Mapping, Sequence
 import numpy as np
 
 from inclined_landing.eval.gap import thresholds
-from inclined_landing.eval.gap.flights.landings import AFTER, BEFORE, Landing, LandingReference, landings_of
-from inclined_landing.eval.gap.flights.usable import UsableFlights
 from inclined_landing.eval.gap.infer.contact import ContactPosterior, contact_posterior, look_alike
 from inclined_landing.eval.gap.infer.sets import confounded_with
 from inclined_landing.eval.gap.infer.touchdown_simulation import TouchdownProblem, position_errors
+from inclined_landing.eval.gap.measured.landings import AFTER, BEFORE, Landing, LandingReference, landings_of
+from inclined_landing.eval.gap.measured.usable import UsableFlights
 from inclined_landing.eval.gap.result import NamedEffect, PlantGap, RegimeError, ScoredSet
 from inclined_landing.models.effects import Effect
 from inclined_landing.models.vehicle import Vehicle

@@ -22,10 +22,10 @@ import numpy as np
 from scipy.special import chdtrc, logsumexp
 
 from inclined_landing.eval.gap import thresholds
-from inclined_landing.eval.gap.flights.landings import Landing, LandingReference
 from inclined_landing.eval.gap.infer.gaussian import SPIKE, EffectSet, flight_weights, prior_share
 from inclined_landing.eval.gap.infer.sets import REFIT_ABOVE
 from inclined_landing.eval.gap.infer.touchdown_simulation import TouchdownProblem
+from inclined_landing.eval.gap.measured.landings import Landing, LandingReference
 from inclined_landing.eval.gap.model.columns import SLAB, FittedValues, Values, without
 from inclined_landing.eval.gap.result import Estimate, ScoredSet, Touchdowns, marginal
 from inclined_landing.models.effects import Effect

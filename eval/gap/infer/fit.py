@@ -8,8 +8,8 @@ from functools import cached_property
 
 import numpy as np
 
-from inclined_landing.eval.gap.flights.noise import estimate, winsorised
 from inclined_landing.eval.gap.infer.gaussian import EffectSet, LinearGaussian, Spread, truncated_mode
+from inclined_landing.eval.gap.measured.noise import estimate, winsorised
 from inclined_landing.eval.gap.model.columns import (
     BASE,
     BaseColumn,

@@ -12,7 +12,9 @@ from collections.abc import Mapping, Sequence
 import numpy as np
 
 from inclined_landing.eval.gap import thresholds
-from inclined_landing.eval.gap.flights.landings import (
+from inclined_landing.eval.gap.infer.contact import inflation, log_t, weights
+from inclined_landing.eval.gap.infer.touchdown_simulation import TouchdownProblem
+from inclined_landing.eval.gap.measured.landings import (
     BEFORE,
     REST_ERROR,
     TRANSIENT_ERROR,
@@ -20,8 +22,6 @@ from inclined_landing.eval.gap.flights.landings import (
     contact_model_covariance,
     landings_of,
 )
-from inclined_landing.eval.gap.infer.contact import inflation, log_t, weights
-from inclined_landing.eval.gap.infer.touchdown_simulation import TouchdownProblem
 from inclined_landing.eval.gap.model.columns import SLAB, FittedValues
 from inclined_landing.eval.logs import FlightLog
 from inclined_landing.models.effects import Effect

@@ -17,10 +17,10 @@ from collections.abc import Sequence
 import numpy as np
 
 from inclined_landing.eval.gap import thresholds
-from inclined_landing.eval.gap.flights.noise import ErrorResponses
-from inclined_landing.eval.gap.flights.windows import MeasuredFlight
 from inclined_landing.eval.gap.infer.gaussian import EffectSet, LinearGaussian
 from inclined_landing.eval.gap.infer.sets import SetPosterior
+from inclined_landing.eval.gap.measured.noise import ErrorResponses
+from inclined_landing.eval.gap.measured.windows import MeasuredFlight
 from inclined_landing.eval.gap.model.prediction import CHANNELS, UNITS_OF, channels_of
 from inclined_landing.eval.gap.model.problem import Problem
 from inclined_landing.eval.gap.model.reference import LINEAR, TARGETS, TIME, Basis, ReferenceResidual

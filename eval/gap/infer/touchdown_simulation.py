@@ -15,7 +15,7 @@ from collections.abc import Mapping, Sequence
 
 import numpy as np
 
-from inclined_landing.eval.gap.flights.landings import BEFORE, TRANSIENT, Landing
+from inclined_landing.eval.gap.measured.landings import BEFORE, TRANSIENT, Landing
 from inclined_landing.eval.gap.model.columns import Candidates
 from inclined_landing.eval.gap.model.prediction import delayed_commands, without_delays
 from inclined_landing.models.attitude import LAG, PITCH, ROLL, X, Y, Z

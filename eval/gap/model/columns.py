@@ -18,7 +18,7 @@ import numpy as np
 import scipy  # whose submodules are imported when they are used
 from msgspec import Struct
 
-from inclined_landing.eval.gap.flights.windows import MeasuredFlight
+from inclined_landing.eval.gap.measured.windows import MeasuredFlight
 from inclined_landing.eval.gap.model.prediction import CHANNEL_GROUPS
 from inclined_landing.models.attitude import LAG, STATE_SIZE
 from inclined_landing.models.effects import Effect, Parameter

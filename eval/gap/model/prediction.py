@@ -18,7 +18,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from inclined_landing.eval.gap.flights.windows import REQUEST_SIGNS
+from inclined_landing.eval.gap.measured.windows import REQUEST_SIGNS
 from inclined_landing.eval.gap.model.swing import Starts, pulled
 from inclined_landing.models.attitude import PWM, ROLL_COMMAND, YAW_RATE_COMMAND, entries, tilted
 from inclined_landing.models.attitude_loops import angle_steps, integrated_steps, yaw_steps

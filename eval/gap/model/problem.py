@@ -15,8 +15,8 @@ from functools import cached_property
 import numpy as np
 
 from inclined_landing.eval.gap import thresholds
-from inclined_landing.eval.gap.flights.noise import ErrorResponses, NoiseModel
-from inclined_landing.eval.gap.flights.windows import MeasuredFlight
+from inclined_landing.eval.gap.measured.noise import ErrorResponses, NoiseModel
+from inclined_landing.eval.gap.measured.windows import MeasuredFlight
 from inclined_landing.eval.gap.model.columns import (
     ALONE,
     BASE,

@@ -16,7 +16,7 @@ import numpy as np
 from msgspec import Struct, ValidationError
 from scipy.linalg import block_diag
 
-from inclined_landing.eval.gap.flights.landings import LandingReference
+from inclined_landing.eval.gap.measured.landings import LandingReference
 from inclined_landing.eval.gap.model.columns import (
     ALONE,
     Candidates,

@@ -15,9 +15,9 @@ from typing import Any
 import numpy as np
 from msgspec import structs
 
-from inclined_landing.eval.gap.flights.noise import Whitening
-from inclined_landing.eval.gap.flights.windows import MeasuredFlight, prepare
 from inclined_landing.eval.gap.infer.gaussian import BETWEEN, SPIKE
+from inclined_landing.eval.gap.measured.noise import Whitening
+from inclined_landing.eval.gap.measured.windows import MeasuredFlight, prepare
 from inclined_landing.eval.gap.model.columns import Candidates, ParameterColumn, Values
 from inclined_landing.eval.gap.model.prediction import predict
 from inclined_landing.eval.gap.model.reference import VehiclePosterior

@@ -26,8 +26,8 @@ from inclined_landing.eval.base.page import of_sections, png
 from inclined_landing.eval.base.style import panel, styled
 from inclined_landing.eval.gap.answer import rollout
 from inclined_landing.eval.gap.answer.identification import Identification
-from inclined_landing.eval.gap.flights.usable import ReadFlights
-from inclined_landing.eval.gap.flights.windows import NEAR, prepare
+from inclined_landing.eval.gap.measured.usable import ReadFlights
+from inclined_landing.eval.gap.measured.windows import NEAR, prepare
 from inclined_landing.eval.gap.report import words
 from inclined_landing.eval.gap.report.files import MJCF, VEHICLE
 from inclined_landing.eval.gap.result import HORIZON, Diagnosis, RegimeError

@@ -29,7 +29,7 @@ from inclined_landing.eval.flying.safety import Phase
 from inclined_landing.eval.flying.simulated.world import URI, Setting, World
 from inclined_landing.eval.flying.vehicle import Radio
 from inclined_landing.eval.flying.watchdog import Watchdog
-from inclined_landing.eval.gap.flights.windows import prepare
+from inclined_landing.eval.gap.measured.windows import prepare
 from inclined_landing.eval.gap.plan import pieces
 from inclined_landing.eval.gap.plan.pieces import setpoints
 from inclined_landing.eval.logs import read_log

@@ -8,7 +8,7 @@ import pytest
 
 from inclined_landing.eval import cli
 from inclined_landing.eval.gap import diagnose
-from inclined_landing.eval.gap.flights.usable import read_flights
+from inclined_landing.eval.gap.measured.usable import read_flights
 from inclined_landing.eval.gap.model.reference import read_reference
 from inclined_landing.eval.gap.plan.reading import read_report
 from inclined_landing.eval.gap.result import REFERENCE

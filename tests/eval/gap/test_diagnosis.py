@@ -12,8 +12,6 @@ from scipy import stats
 from inclined_landing.eval.gap import diagnose, gap_example, measure_gap, pipeline
 from inclined_landing.eval.gap.answer import selection, sizes
 from inclined_landing.eval.gap.answer.identification import identify
-from inclined_landing.eval.gap.flights.usable import usable_flights
-from inclined_landing.eval.gap.flights.windows import _on_ground, measurement_noise, prepare, prepare_all
 from inclined_landing.eval.gap.infer import sets
 from inclined_landing.eval.gap.infer.contact import dersimonian_laird
 from inclined_landing.eval.gap.infer.fit import (
@@ -26,6 +24,8 @@ from inclined_landing.eval.gap.infer.fit import (
     vehicles_a_half_width_away,
 )
 from inclined_landing.eval.gap.infer.gaussian import ParameterEstimate, Spread
+from inclined_landing.eval.gap.measured.usable import usable_flights
+from inclined_landing.eval.gap.measured.windows import _on_ground, measurement_noise, prepare, prepare_all
 from inclined_landing.eval.gap.model.columns import BASE, Candidates
 from inclined_landing.eval.gap.model.problem import Problem
 from inclined_landing.eval.gap.model.reference import ReferenceResidual, VehiclePosterior

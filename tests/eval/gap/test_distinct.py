@@ -9,7 +9,7 @@ import numpy as np
 import pandas
 import pytest
 
-from inclined_landing.eval.gap.flights.usable import check_unused, distinct, fingerprint, read_flights
+from inclined_landing.eval.gap.measured.usable import check_unused, distinct, fingerprint, read_flights
 from inclined_landing.eval.logs import write_log
 from inclined_landing.models.base.errors import UserError
 from tests.eval.logs.test_checks import flight

@@ -13,8 +13,6 @@ from scipy import optimize, stats
 from scipy.signal import lfilter
 
 from inclined_landing.eval.gap import thresholds
-from inclined_landing.eval.gap.flights.noise import estimate
-from inclined_landing.eval.gap.flights.windows import prepare, remove_tilt
 from inclined_landing.eval.gap.infer.fit import model_error_weights, variance_inflation
 from inclined_landing.eval.gap.infer.gaussian import Bounds, LinearGaussian, clipped, truncated_mode
 from inclined_landing.eval.gap.infer.residual import _RidgeRegression, _sign_flips, gain_matrix
@@ -25,6 +23,8 @@ from inclined_landing.eval.gap.infer.sets import (
     confounded_with,
     equivalence_class,
 )
+from inclined_landing.eval.gap.measured.noise import estimate
+from inclined_landing.eval.gap.measured.windows import prepare, remove_tilt
 from inclined_landing.eval.gap.model.columns import (
     BASE,
     BASE_DEVIATIONS,

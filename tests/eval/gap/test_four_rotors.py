@@ -8,8 +8,8 @@ import pytest
 
 from inclined_landing.eval.gap import diagnose
 from inclined_landing.eval.gap.answer.identification import identify
-from inclined_landing.eval.gap.flights.windows import REQUEST_SIGNS, prepare, prepare_all
 from inclined_landing.eval.gap.infer.gaussian import Spread
+from inclined_landing.eval.gap.measured.windows import REQUEST_SIGNS, prepare, prepare_all
 from inclined_landing.eval.gap.model.columns import slab_covariance
 from inclined_landing.eval.gap.model.prediction import predict, requested_differences
 from inclined_landing.eval.gap.model.problem import Problem, identifiable_effects

@@ -6,9 +6,9 @@ import types
 import numpy as np
 import pytest
 
-from inclined_landing.eval.gap.flights.windows import prepare
 from inclined_landing.eval.gap.infer.fit import fit_least_squares, variance_inflation
 from inclined_landing.eval.gap.infer.heterogeneity import inconsistent_flights
+from inclined_landing.eval.gap.measured.windows import prepare
 from inclined_landing.eval.gap.model.columns import BASE, Candidates, ParameterColumn, slab_deviations
 from inclined_landing.eval.gap.model.problem import Linearisation, Problem
 from inclined_landing.eval.gap.report import words

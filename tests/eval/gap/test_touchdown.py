@@ -8,7 +8,6 @@ from msgspec import ValidationError
 
 from inclined_landing.eval.gap import diagnose, thresholds
 from inclined_landing.eval.gap.answer.touchdown import contact_effects, joint_sets
-from inclined_landing.eval.gap.flights.landings import LandingReference, contact_model_covariance, landings_of
 from inclined_landing.eval.gap.infer.contact import (
     ContactPosterior,
     common_residual_p_value,
@@ -18,6 +17,11 @@ from inclined_landing.eval.gap.infer.contact import (
 from inclined_landing.eval.gap.infer.landing_reference import landing_reference
 from inclined_landing.eval.gap.infer.sets import confounded_with
 from inclined_landing.eval.gap.infer.touchdown_simulation import TouchdownProblem, static_deflection
+from inclined_landing.eval.gap.measured.landings import (
+    LandingReference,
+    contact_model_covariance,
+    landings_of,
+)
 from inclined_landing.eval.gap.result import Estimate, ScoredSet, Touchdowns, from_plain, marginal, plain
 from inclined_landing.models.effects import LIBRARY
 from inclined_landing.models.parameters import load_vehicle

@@ -15,7 +15,7 @@ import numpy as np
 import scipy  # whose submodules are imported when they are used
 
 from inclined_landing.eval.gap import thresholds
-from inclined_landing.eval.gap.flights.noise import ErrorResponses, NoiseModel, Whitening
+from inclined_landing.eval.gap.measured.noise import ErrorResponses, NoiseModel, Whitening
 from inclined_landing.eval.logs import FlightLog
 from inclined_landing.eval.logs.log import as_logs
 from inclined_landing.eval.logs.motion import standing

@@ -9,7 +9,7 @@ from collections.abc import Sequence
 import numpy as np
 import scipy  # whose submodules are imported when they are used
 
-from inclined_landing.eval.gap.flights.windows import measurement_noise
+from inclined_landing.eval.gap.measured.windows import measurement_noise
 from inclined_landing.eval.logs import FlightLog
 from inclined_landing.models.attitude import ROLL, STATE_SIZE, VX, WX, body_rates
 from inclined_landing.models.vehicle import Vehicle

@@ -16,7 +16,7 @@ import numpy as np
 import pandas
 
 from inclined_landing.eval.gap import thresholds
-from inclined_landing.eval.gap.flights.windows import IDLE, MeasuredFlight, prepare_all
+from inclined_landing.eval.gap.measured.windows import IDLE, MeasuredFlight, prepare_all
 from inclined_landing.eval.gap.result import SetAside
 from inclined_landing.eval.logs import FlightLog, read_log
 from inclined_landing.eval.logs.checks import check_fleet
