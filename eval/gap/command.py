@@ -41,17 +41,15 @@ def command(
     began = time.monotonic()
     with stages(source.count + len(reference) + 4) as tick:
         flights = read_flights(source.files, source.heldout, reference, tick=tick, **source.options())
-        notes = flights.notes
+        notes, found = [*flights.notes], None
         tick("identifying the reference vehicle" if flights.reference else "reading the vehicle file")
-        found = None
         if flights.reference:
             found = identify(flights.reference, nominal, platform=source.platform)
-            nominal = files.as_written(found)
-            known, notes = found.reference, (*notes, *found.notes)
-            notes = (*notes, identified.headline(found)) if found.worse else notes
+            nominal, known = files.as_written(found), found.reference
+            notes += [*found.notes, *([identified.headline(found)] if found.worse else ())]
         else:
-            known, aside = read_reference(source.vehicle, nominal)
-            notes = (*notes, aside) if aside else notes
+            known, ignored = read_reference(source.vehicle, nominal)
+            notes += [ignored] if ignored else []
         tick("searching for missing effects")
         d = diagnose(
             flights.logs,

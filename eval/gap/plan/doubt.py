@@ -62,6 +62,12 @@ def is_worth_flying(found: Sequence[InDoubt], gain: float) -> bool:
     return gain >= thresholds.LEAST_GAIN and (not found or len(_beyond_flights(found)) < len(found))
 
 
+def _beyond_flights(found: Sequence[InDoubt]) -> list[str]:
+    """Return the effects that stay in doubt and that a flight shows only together."""
+    others = {name for name, effect in LIBRARY.items() if effect.scales_thrust or effect.told_by}
+    return [one.name for one in found if not one.resolved and one.name in others]
+
+
 def set_label(one: ScoredSet) -> str:
     """Return the effects of a set as part of a sentence."""
     return labels(one.effects) or "nothing"
@@ -75,11 +81,12 @@ def in_doubt(found: Sequence[InDoubt]) -> list[str]:
 
 def outcome(found: Sequence[InDoubt]) -> list[str]:
     """Return a sentence on the expected probabilities after a flight."""
+    beyond = _beyond_flights(found)
     rows = [
         f"{label(one.name)} from {probability(one.probability)} to {probability(one.if_missing)} if the "
         f"model lacks it, to {probability(one.if_not)} if not"
         for one in found
-        if one.name not in _beyond_flights(found)
+        if one.name not in beyond
     ]
     return [f"Expected probabilities after the flight: {'; '.join(rows)}."] if rows else []
 
@@ -88,17 +95,8 @@ def measured_otherwise(found: Sequence[InDoubt]) -> list[str]:
     """Return a sentence on the effects that stay in doubt, and how they are measured without a flight."""
     beyond = _beyond_flights(found)
     remedies = dict.fromkeys(t for n in beyond if (t := LIBRARY[n].told_by))
-    if not remedies:
-        return []
-    names = labels(beyond)
-    limit = f"distinguish {names}" if len(beyond) > 1 else f"show whether the model lacks {names}"
-    return [" ".join([f"No flight can {limit}.", *remedies])]
-
-
-def _beyond_flights(found: Sequence[InDoubt]) -> list[str]:
-    """Return the effects that stay in doubt and that a flight shows only together."""
-    others = {name for name, effect in LIBRARY.items() if effect.scales_thrust or effect.told_by}
-    return [one.name for one in found if not one.resolved and one.name in others]
+    limit = f"{'distinguish' if len(beyond) > 1 else 'show whether the model lacks'} {labels(beyond)}"
+    return [" ".join([f"No flight can {limit}.", *remedies])] if remedies else []
 
 
 def flight(plan: Plan) -> list[str]:

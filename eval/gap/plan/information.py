@@ -18,7 +18,7 @@ from msgspec import structs
 from inclined_landing.eval.gap.infer.gaussian import BETWEEN, SPIKE
 from inclined_landing.eval.gap.measured.noise import Whitening
 from inclined_landing.eval.gap.measured.windows import MeasuredFlight, prepare
-from inclined_landing.eval.gap.model.columns import Candidates, ParameterColumn, Values
+from inclined_landing.eval.gap.model.columns import Candidates, ParameterColumn
 from inclined_landing.eval.gap.model.prediction import predict
 from inclined_landing.eval.gap.model.reference import VehiclePosterior
 from inclined_landing.eval.gap.plan.pieces import Setpoints
@@ -89,35 +89,35 @@ class ModelDiscrimination:
         self.vehicles = [self._candidates.corrected(h.values) for h in self.hypotheses]
         best = max(self.hypotheses, key=lambda h: h.probability)
         self.base = self._candidates.corrected(best.values)
-        self._pairs: list[tuple[Vehicle, Vehicle, float]] = []
-        columns: list[ParameterColumn] = []
-        negligible: list[float] = []
-        for name, effect in self.library.items():
-            for p in effect.parameters:
-                if not p.is_reference:
-                    columns.append(ParameterColumn(name, p.name))
-                    self._add(best.values, columns[-1])
-                    negligible.append(math.hypot(SPIKE, BETWEEN) * p.negligible)
+        shared = [
+            ParameterColumn(name, p.name)
+            for name, effect in self.library.items()
+            for p in effect.parameters
+            if not p.is_reference
+        ]
+        own = [
+            (k, h, ParameterColumn(name, p.name))
+            for k, h in enumerate(self.hypotheses)
+            for name in h.effects
+            for p in self.library[name].parameters
+        ]
+        difference = self._candidates.central_difference
+        self._differences = [difference(best.values, column) for column in shared]
+        self._differences += [difference(h.values, column) for _, h, column in own]
         # What the vehicle's identification left uncertain comes on top, in all sets alike. The directions are
         # turned to the covariance's principal axes, in which they are independent.
-        covariance = np.diag(np.square(negligible))
+        negligible = [self._candidates.parameter(column).negligible for column in shared]
+        covariance = np.diag(np.square(math.hypot(SPIKE, BETWEEN) * np.array(negligible)))
         if reference is not None:
-            covariance += reference.along(columns)[1]
+            covariance += reference.along(shared)[1]
         unit = np.sqrt(covariance.diagonal())
         size, axes = np.linalg.eigh(covariance / np.outer(unit, unit))
         self._axes = unit[:, None] * axes  # (L, L), of unit size along `size`
-        deviations = np.sqrt(np.maximum(size, 0.0))
-        standard_errors = [np.full(len(self), s) for s in deviations]
-        for k, h in enumerate(self.hypotheses):
-            for name in h.effects:
-                for p in self.library[name].parameters:
-                    self._add(h.values, ParameterColumn(name, p.name))
-                    own = np.zeros(len(self))
-                    own[k] = self._deviation(h, name, p)
-                    standard_errors.append(own)
-        self.free = np.hstack(
-            [np.zeros((len(self),) * 2), np.array(standard_errors).reshape(-1, len(self)).T]
-        )
+        of_shared = np.tile(np.sqrt(np.maximum(size, 0.0)), (len(self), 1))
+        of_own = np.zeros((len(self), len(own)))
+        for j, (k, h, column) in enumerate(own):
+            of_own[k, j] = self._deviation(h, column)
+        self.free = np.hstack([np.zeros((len(self), len(self))), of_shared, of_own])
 
     def __len__(self) -> int:
         return len(self.hypotheses)
@@ -127,17 +127,12 @@ class ModelDiscrimination:
         """Return the prior probabilities (K,) of the sets, before the flight."""
         return np.array([h.probability for h in self.hypotheses])
 
-    def _add(self, values: Values, column: ParameterColumn) -> None:
-        """Add a direction: the central difference along a column."""
-        (low, high), step = self._candidates.central_difference(values, column)
-        self._pairs.append((low, high, step))
-
-    @staticmethod
-    def _deviation(h: ScoredSet, name: str, p) -> float:
+    def _deviation(self, h: ScoredSet, column: ParameterColumn) -> float:
         """Return the standard error of a set's value; a quarter of its size where the diagnosis has none."""
-        known = h.standard_errors.get(name, {}).get(p.name)
+        p, values = self._candidates.parameter(column), h.values[column.effect]
+        known = h.standard_errors.get(column.effect, {}).get(p.name)
         if known is None:
-            known = 0.25 * abs(p.size(h.values[name].get(p.name, p.neutral)))
+            known = 0.25 * abs(p.size(values.get(p.name, p.neutral)))
         low, high = p.bounds
         return float(min(max(known, SPIKE * p.negligible), 0.25 * (high - low)))
 
@@ -165,7 +160,9 @@ class ModelDiscrimination:
         )
         base = predict(flight, self.base)
         slopes = [predict(flight, v) - base for v in self.vehicles]
-        slopes += [(predict(flight, high) - predict(flight, low)) / step for low, high, step in self._pairs]
+        slopes += [
+            (predict(flight, high) - predict(flight, low)) / step for (low, high), step in self._differences
+        ]
         white = np.stack([white_by(flight.cut(s)).ravel() for s in slopes])
         shared = slice(len(self), len(self) + len(self._axes))
         white[shared] = self._axes.T @ white[shared]
