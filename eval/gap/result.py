@@ -84,6 +84,11 @@ class Estimate:
         return not self.ci95[0] <= self.neutral <= self.ci95[1]
 
     @property
+    def is_shown(self) -> bool:
+        """Return whether the flights show it, unlike what another parameter is relative to."""
+        return not self.per_flight or any(map(math.isfinite, self.per_flight))
+
+    @property
     def firm(self) -> bool:
         """Return whether it differs from neutral and does not lie at a bound."""
         return self.differs and not self.at_bound

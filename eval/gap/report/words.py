@@ -75,7 +75,7 @@ def is_ratio(effect: NamedEffect) -> bool:
     return len(effect.members) > 1 and scales and own.neutral == 1.0
 
 
-def sizes(effect: NamedEffect) -> dict[str, Estimate]:
+def measured_by(effect: NamedEffect) -> dict[str, Estimate]:
     """Return what an equivalence class is measured by: its parameters, or the one ratio of thrust to mass."""
     if not is_ratio(effect):
         return effect.parameters
@@ -88,10 +88,7 @@ def sizes(effect: NamedEffect) -> dict[str, Estimate]:
 
 def size_rows(effect: NamedEffect) -> tuple[tuple[str, str, str], ...]:
     """Return parameter ("" for one alone), value and 95 % interval of the sizes of an equivalence class."""
-    # Without what an effect is relative to, which the flights do not show.
-    shown = {
-        n: p for n, p in sizes(effect).items() if not p.per_flight or any(map(math.isfinite, p.per_flight))
-    }
+    shown = {name: p for name, p in measured_by(effect).items() if p.is_shown}
     return tuple(
         (label(name) if len(shown) > 1 else "", value(p), interval(p.ci95, p.unit))
         for name, p in shown.items()
@@ -100,7 +97,7 @@ def size_rows(effect: NamedEffect) -> tuple[tuple[str, str, str], ...]:
 
 def sentence(effect: NamedEffect) -> str:
     """Return the physical meaning of a named effect with its size, as a sentence."""
-    parts = sizes(effect)
+    parts = measured_by(effect)
     if effect.parts:
         (p,) = parts.values()
         change = "slower" if p.value > p.neutral else "quicker"
@@ -379,10 +376,10 @@ def set_aside(one: SetAside) -> str:
 
 def notes(*groups: Sequence[str]) -> list[str]:
     """Return the notes of some groups as a person reads them, each once."""
-    return [plain(note) for note in dict.fromkeys(note for group in groups for note in group)]
+    return [readable(note) for note in dict.fromkeys(note for group in groups for note in group)]
 
 
-def plain(text: str) -> str:
+def readable(text: str) -> str:
     """Return a sentence of the diagnosis with displayed names of effects and units."""
     for name in LIBRARY:
         text = text.replace(name, label(name))
