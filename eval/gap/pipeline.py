@@ -86,9 +86,8 @@ def diagnose(
     known = reference.errors if reference else None
     least = cost_beyond_doubt(residual, ahead.gap.get("analytic"), known)
     effects = named_effects(found, values, ahead.named, least)
-    contact = contact_answer(
-        use, vehicle, correction.vehicle, candidates, reference.landings if reference else None
-    )
+    landings = reference.landings if reference else None
+    contact = contact_answer(use, vehicle, correction.vehicle, candidates, landings)
 
     return Diagnosis(
         set_aside=use.set_aside,

@@ -366,9 +366,8 @@ class LinearGaussian:
         for name, parameter in dict.fromkeys(fitted):
             k = [i for i, c in enumerate(self.columns) if c.key == (name, parameter)]
             square = variance[k[0]] if len(k) == 1 else covariance[np.ix_(k, k)].sum()
-            unit = self.unit[k[0]] * self.candidates.parameter(self.columns[k[0]]).slope(
-                values[name][parameter]
-            )
+            p = self.candidates.parameter(self.columns[k[0]])
+            unit = self.unit[k[0]] * p.slope(values[name][parameter])
             result[name, parameter] = ParameterEstimate(
                 error=float(np.sqrt(max(0.0, square)) * unit),
                 deviation=deviation[:, k].sum(axis=1) * unit,

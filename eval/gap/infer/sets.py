@@ -471,10 +471,9 @@ def equivalence_class(found: SetPosterior, name: str) -> tuple[str, ...]:
 
     replacing = [o for o in confounded_with(found.sets, found.names, name) if o in others and replaces(o)]
     tied = [o for o in others if share[o] >= thresholds.TIED and others[o].reference is None]
-    bent = [o for o, e in others.items() if not all(p.linear for p in e.parameters)]
-    bent = [
-        o for o in bent if name in others[o].confused_with and found.probability(o) >= thresholds.POSSIBLE
-    ]
+    confused = [o for o in others if name in others[o].confused_with]
+    bent = [o for o in confused if not all(p.linear for p in others[o].parameters)]
+    bent = [o for o in bent if found.probability(o) >= thresholds.POSSIBLE]
     same = [o for o in fitting(name).same_as if o in library]
     if name == "com_offset" and not found.problem.requested and name in found.best.values:
         same += _rotor_of_moment(found.best.values[name]["x"], found.best.values[name]["y"])

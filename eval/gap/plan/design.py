@@ -88,9 +88,8 @@ def design(
         path = pieces.joined_path(chosen, space, seconds)
         points = setpoints(path, vehicle)
         tick("simulating the planned flight")
-        violation, flown = safety.simulate_plan(
-            points, discrimination.vehicles[:SIMULATED], space, noise_levels
-        )
+        vehicles = discrimination.vehicles[:SIMULATED]
+        violation, flown = safety.simulate_plan(points, vehicles, space, noise_levels)
         if violation is None:
             tick("computing the expected information")
             logs = [one.log(noise_levels.noise) for one in flown]
@@ -120,19 +119,16 @@ class _Search:
         found = [p for kind in pieces.kinds(space) for p in self._safe_pieces(kind)]
         # Every other piece keeps the nose where it is: a choice without turns has as many to choose from.
         held = [p.steady if k % 2 else p for k, p in enumerate(found)]
-        self.pool = list(
-            dict.fromkeys(p for p in held if p is not None and self._safe_setpoints(p) is not None)
-        )
+        self.pool = [p for p in dict.fromkeys(held) if p and self._safe_setpoints(p)]
         self._add_information(self.pool)
 
     def _safe_pieces(self, kind: str) -> list[Piece]:
         """Return safe pieces of a kind: the midpoint of its bounds, and random ones."""
-        found = [pieces.midpoint(kind)] if self._safe_setpoints(pieces.midpoint(kind)) is not None else []
+        found = [pieces.midpoint(kind)] if self._safe_setpoints(pieces.midpoint(kind)) else []
         for _ in range(DRAWS_PER_PIECE * PIECES_PER_KIND):
             if len(found) > PIECES_PER_KIND:
                 break
-            piece = pieces.draw(kind, self.rng)
-            if self._safe_setpoints(piece) is not None:
+            if self._safe_setpoints(piece := pieces.draw(kind, self.rng)):
                 found.append(piece)
         return found
 

@@ -115,9 +115,8 @@ class Piece:
     def text(self) -> str:
         """Return a description of the piece as part of a sentence."""
         angles = ("heading", "direction", "angle", "tilt", "rate")
-        shown = {
-            n: f"{math.degrees(x):.0f}" if n in angles else f"{x:.2g}" for n, x in self.parameters.items()
-        }
+        values = self.parameters.items()
+        shown = {n: f"{math.degrees(x):.0f}" if n in angles else f"{x:.2g}" for n, x in values}
         return KINDS[self.kind].template.format(**shown)
 
     def trajectory(self, space: Space) -> Way:

@@ -105,9 +105,8 @@ def simulate_plan(
 
     noise_levels: measurement noise of the pilot's feedback, and disturbance.
     """
-    flown = two_at_a_time(
-        lambda k: fly(points, vehicles[k], space, noise_levels, (0, k)), range(len(vehicles))
-    )
+    seeds = [(0, k) for k in range(len(vehicles))]
+    flown = two_at_a_time(lambda v, seed: fly(points, v, space, noise_levels, seed), vehicles, seeds)
     violations = [w for one in flown if (w := _simulation_violation(one.states, points, space)) is not None]
     return min(violations, key=lambda w: w.time, default=None), flown
 
@@ -192,9 +191,5 @@ def clearance(position: np.ndarray, attitude: np.ndarray, space: Space) -> np.nd
 
 def _first(*checks: tuple[str, np.ndarray], step: float = 1.0 / RATE) -> Violation | None:
     """Return the earliest row at which one of the checks (text, (m,) bool) is violated."""
-    found = [
-        Violation(float(np.argmax(violations)) * step, text)
-        for text, violations in checks
-        if violations.any()
-    ]
+    found = [Violation(float(np.argmax(rows)) * step, text) for text, rows in checks if rows.any()]
     return min(found, key=lambda v: v.time, default=None)
