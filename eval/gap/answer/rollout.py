@@ -206,7 +206,7 @@ def _analytic(starts, vehicle, state, integral, commands, ambient) -> np.ndarray
     pose[:, 0] = state[:, _POSE]
     substeps = max(1, math.ceil(starts.dt / LARGEST_STEP))
     step_ambient = ambient[:, 0].copy()
-    step_ambient[:, 0] -= 0.5 * starts.dt
+    step_ambient[:, forces.TIME] -= 0.5 * starts.dt
     load = hanging(n) if vehicle.effects_load_mass else UNLOADED
     conditions = equations.Conditions(
         forces.pack(vehicle), neutral(n), step_ambient, load=load, integral=integral
@@ -229,9 +229,10 @@ def _mujoco(starts, vehicle, state, integral, commands, ambient, lag) -> np.ndar
     varies = bool((scale != 1.0).any())
     step = starts.dt / math.ceil(starts.dt / LARGEST_STEP - 1e-9)
     # Free flight meets nothing: without surfaces that matter it is flown high above the floor.
-    lift = 0.0 if vehicle.effects_ground_effect or ambient[:, 0, 3].any() else CLEAR_HEIGHT
+    slab = ambient[:, 0, forces.PRESENT] > 0.0
+    lift = 0.0 if vehicle.effects_ground_effect or slab.any() else CLEAR_HEIGHT
     plant = MujocoPlant(n, plain, control_period=starts.dt, timestep=step, contacts=not lift)
-    plant.set_platform(np.arange(n), vehicle.platform_inclination, ambient[:, 0, 3] > 0.0)
+    plant.set_platform(np.arange(n), vehicle.platform_inclination, slab)
     state[:, 2] += lift
     plant.reset(np.arange(n), state)
     plant.integral[:] = integral

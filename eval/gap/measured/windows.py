@@ -22,7 +22,7 @@ from inclined_landing.eval.logs.motion import standing
 from inclined_landing.models.attitude import body_accelerations, euler_rates, rotations, tilted
 from inclined_landing.models.base.errors import UserError, first_of
 from inclined_landing.models.compiled import unlocked
-from inclined_landing.models.forces import AMBIENT_SIZE
+from inclined_landing.models.forces import AMBIENT_SIZE, INCLINATION, PRESENT, TIME, VOLTAGE
 from inclined_landing.models.vehicle import Vehicle
 
 WINDOW = 0.6  # s
@@ -62,7 +62,7 @@ class MeasuredFlight:
     middle_velocity: np.ndarray
     middle_attitude: np.ndarray
     middle_rotation: np.ndarray  # (m - 1, 3, 3)
-    ambient: np.ndarray  # (m - 1, 5)
+    ambient: np.ndarray  # (m - 1, AMBIENT_SIZE)
     noise: np.ndarray  # (C,) standard deviation of the measured pose, and of the requests
     starts: np.ndarray  # (w,) first row of every window
     rows: int  # per window
@@ -266,11 +266,10 @@ def prepare(log: FlightLog, vehicle: Vehicle, *, platform: bool = False) -> Meas
         seen, least = [*seen, requests.differences], least + [LEAST_REQUEST_NOISE] * 3
         logged += [True] * 3
     noise = np.maximum(measurement_noise(np.hstack(seen)), least)
-    middle = [0.5 * (a[1:] + a[:-1]) for a in (log.position, velocity, attitude)]
     ambient = np.zeros((m - 1, AMBIENT_SIZE))
-    ambient[:, 0] = 0.5 * (t[1:] + t[:-1])
-    ambient[:, 1] = np.nan if log.voltage is None else 0.5 * (log.voltage[1:] + log.voltage[:-1])
-    ambient[:, 2:4] = vehicle.platform_inclination, float(platform)
+    ambient[:, TIME] = _middle(t)
+    ambient[:, VOLTAGE] = np.nan if log.voltage is None else _middle(log.voltage)
+    ambient[:, INCLINATION], ambient[:, PRESENT] = vehicle.platform_inclination, platform
     usable = _usable_rows(log, gaps, vehicle)
     starts = _window_starts(usable, rows)
     if not len(starts):
@@ -290,10 +289,10 @@ def prepare(log: FlightLog, vehicle: Vehicle, *, platform: bool = False) -> Meas
         command=command,
         logged=np.array(logged, bool),
         voltage=log.voltage,
-        middle_position=middle[0],
-        middle_velocity=middle[1],
-        middle_attitude=middle[2],
-        middle_rotation=rotations(middle[2]),
+        middle_position=_middle(log.position),
+        middle_velocity=_middle(velocity),
+        middle_attitude=_middle(attitude),
+        middle_rotation=rotations(_middle(attitude)),
         ambient=ambient,
         noise=noise,
         starts=starts,
@@ -306,6 +305,11 @@ def prepare(log: FlightLog, vehicle: Vehicle, *, platform: bool = False) -> Meas
         thrust_is_measured=log.thrust_is_measured,
         requests=requests,
     )
+
+
+def _middle(values: np.ndarray) -> np.ndarray:
+    """Return values (m - 1, ...) in the middle of the steps between rows (m, ...)."""
+    return 0.5 * (values[1:] + values[:-1])
 
 
 def _usable_rows(log: FlightLog, gaps: np.ndarray, vehicle: Vehicle) -> np.ndarray:
