@@ -41,12 +41,14 @@ def command(
     began = time.monotonic()
     with stages(source.count + len(reference) + 4) as tick:
         flights = read_flights(source.files, source.heldout, reference, tick=tick, **source.options())
-        notes, found = [*flights.notes], None
+        notes, identification = [*flights.notes], None
         tick("identifying the reference vehicle" if flights.reference else "reading the vehicle file")
         if flights.reference:
-            found = identify(flights.reference, nominal, platform=source.platform)
-            nominal, known = files.as_written(found), found.reference
-            notes += [*found.notes, *([identified.headline(found)] if found.worse else ())]
+            identification = identify(flights.reference, nominal, platform=source.platform)
+            nominal, known = files.as_written(identification), identification.reference
+            notes += identification.notes
+            if identification.worse:
+                notes.append(identified.headline(identification))
         else:
             known, ignored = read_reference(source.vehicle, nominal)
             notes += [ignored] if ignored else []
@@ -68,13 +70,13 @@ def command(
     try:  # a full disk costs the files, not the answer
         with runs.staged_run(out) as folder:
             kept = folder / REFERENCE
-            if found or source.vehicle:
+            if identification or source.vehicle:
                 kept.parent.mkdir()
-            if found:
-                files.write_identified(found, kept.parent, base=source.vehicle)
+            if identification:
+                files.write_identified(identification, kept.parent, base=source.vehicle)
             elif source.vehicle:
                 files.keep_vehicle(source.vehicle, kept)
-            files.write_corrected(d, nominal, folder, base=kept if found else source.vehicle)
+            files.write_corrected(d, nominal, folder, base=kept if identification else source.vehicle)
             answer = d.to_json() | {"summary": words.how_much(d)}
             page.write_report(folder, "gap", html, answer, source, began, versions, images)
         written = out

@@ -29,16 +29,16 @@ def command(source: Flat[FlightSource], out: RunFolder) -> None:
     with stages(source.count + 2) as tick:
         flights = read_flights(source.files, source.heldout, tick=tick, **source.options())
         tick("fitting the vehicle")
-        found = identify(flights.logs, nominal, heldout=flights.heldout, platform=source.platform)
+        identification = identify(flights.logs, nominal, heldout=flights.heldout, platform=source.platform)
         tick("writing the report")
         versions = runs.versions()
         heldout = [log.name for log in flights.heldout]
-        html = identified.page(found, heldout=heldout, versions=versions, notes=flights.notes)
+        html = identified.page(identification, heldout=heldout, versions=versions, notes=flights.notes)
     written: Path | None = None
     try:
         with runs.staged_run(out) as folder:
-            files.write_identified(found, folder, base=source.vehicle)
-            page.write_report(folder, "identify", html, found.to_json(), source, began, versions)
+            files.write_identified(identification, folder, base=source.vehicle)
+            page.write_report(folder, "identify", html, identification.to_json(), source, began, versions)
         written = out / files.VEHICLE
     finally:
-        identified.show(found, flights.notes, written)
+        identified.show(identification, flights.notes, written)
