@@ -456,7 +456,11 @@ def identified_reference(
     # But a constant that every vehicle has is as uncertain as before flights that do not show it at all.
     unseen = {n for n, e in free_effects().items() if n not in names and e.is_constant}
     return VehiclePosterior(
-        *(tuple(columns), mean, known, repeating, frozenset(free_effects()) - unseen),
+        columns=tuple(columns),
+        mean=mean,
+        covariance=known,
+        repeating=repeating,
+        library=frozenset(free_effects()) - unseen,
         errors=errors,
         landings=landings,
         flights=flights,

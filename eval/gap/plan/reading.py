@@ -19,10 +19,9 @@ from inclined_landing.models.effects import LIBRARY
 from inclined_landing.models.parameters import load_vehicle
 from inclined_landing.models.vehicle import Vehicle
 
-ROOM = (
-    *("arena_x", "arena_y", "arena_z", "platform_width", "platform_depth"),
-    *("platform_inclination", "platform_surface_height"),
-)
+ROOM = (  # fields of a vehicle file that say where it flies
+    "arena_x arena_y arena_z platform_width platform_depth platform_inclination platform_surface_height"
+).split()
 CHANNELS = ("x", "y", "z", "roll", "pitch", "yaw")
 Positive = Annotated[float, Meta(ge=1e-9, le=1e300)]
 
