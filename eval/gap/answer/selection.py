@@ -178,18 +178,18 @@ def _least_distinct(found: SetPosterior, values: FittedValues) -> str | None:
 def _is_distinct(found: SetPosterior, values: FittedValues, name: str, firm: Set[str]) -> bool:
     """Return whether an effect is to be named: it must have a firm size, or show one second ahead.
 
-    Without either, other effects explain it. A change of the loops alone, beside a larger effect, must have
+    Without either, other effects explain it. A change of the loops alone, next to a larger effect, must have
     both, as no loop is quite of the modelled form and the vehicle's constants are estimated again; the latter
     alone is enough only if no other effect is firm. A moment must have a firm size, unless the motors'
     requests were logged.
     """
     channels = found.problem.library[name].channels
-    beside_larger = name != next(iter(values)) and LOOPS.issuperset(channels)
+    next_to_larger = name != next(iter(values)) and LOOPS.issuperset(channels)
     if name in firm:
         is_piece = name in loop_pieces(found.problem, values)  # all pieces have one size
-        return is_piece or not beside_larger or _shows_ahead(found, values, name)
+        return is_piece or not next_to_larger or _shows_ahead(found, values, name)
     unseen_moment = "requests" in channels and not found.problem.requested
-    if unseen_moment or (beside_larger and firm):
+    if unseen_moment or (next_to_larger and firm):
         return False
     return _shows_ahead(found, values, name)
 
