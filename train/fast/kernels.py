@@ -19,7 +19,7 @@ from numba import types
 from numba.core import cgutils
 from numba.extending import intrinsic
 
-from inclined_landing.train.fast.layers import BLOCK, backward, compiled, forward, inlined, load
+from inclined_landing.train.fast.layers import BLOCK, backward, compiled, forward, inlined, load, once
 
 STATISTICS = ("policy_loss", "value_loss", "entropy", "kl", "clipped")  # of a minibatch
 _B, _0, _1 = np.uint64(BLOCK), np.uint64(0), np.uint64(1)
@@ -101,8 +101,11 @@ def act(network, scaling, observations, noise, bounds, drawn):
     w, widths, a = network
     n, size = np.uint64(len(observations)), widths[-1]
     log_std = np.uint64(len(w)) - size
-    std = np.exp(w[log_std:])
-    rows = np.arange(len(observations)).astype(np.uint64)
+    std, rows = np.empty(size, np.float32), np.empty(n, np.uint64)
+    for k in range(size):
+        std[k] = np.exp(w[log_std + k])
+    for k in range(n):
+        rows[k] = k
     for first in range(_0, n, _B):
         count = min(_B, n - first)
         load(observations, rows, first, count, scaling, a)
@@ -125,7 +128,9 @@ def evaluate(network, scaling, observations, values):
     """Write the critic's values (n,) of observations (n, o)."""
     w, widths, a = network
     n = np.uint64(len(observations))
-    rows = np.arange(len(observations)).astype(np.uint64)
+    rows = np.empty(n, np.uint64)
+    for k in range(n):
+        rows[k] = k
     for first in range(_0, n, _B):
         count = min(_B, n - first)
         load(observations, rows, first, count, scaling, a)
@@ -150,7 +155,7 @@ def advantages(rewards, values, starts, last_values, last_dones, gamma, gae_lamb
             going, value = np.float32(1) - starts[t, i], values[t, i]
 
 
-@inlined
+@once
 def _actor_gradient(actor, rollout, rows, first, last, scaling, settings, statistics):
     """Write the gradient of the clipped surrogate and the entropy over rows[first:last], and STATISTICS."""
     w, widths, _, _, a, d, g = actor
@@ -168,7 +173,9 @@ def _actor_gradient(actor, rollout, rows, first, last, scaling, settings, statis
     std = math.sqrt(squares / (samples - _1))
     loss, kl, clipped = 0.0, 0.0, 0.0
     low, high = np.float32(1) - clip, np.float32(1) + clip
-    per_std, deviations = np.float32(1) / np.exp(w[log_std:]), np.empty(size, np.float32)
+    per_std, deviations = np.empty(size, np.float32), np.empty(size, np.float32)
+    for k in range(size):
+        per_std[k] = np.float32(1) / np.exp(w[log_std + k])
     for begin in range(first, last, _B):
         count = min(_B, last - begin)
         load(observations, rows, begin, count, scaling, a)
@@ -208,7 +215,7 @@ def _actor_gradient(actor, rollout, rows, first, last, scaling, settings, statis
     statistics[3], statistics[4] = kl / samples, clipped / samples
 
 
-@inlined
+@once
 def _critic_gradient(critic, rollout, rows, first, last, scaling, settings, statistics):
     """Write the weighted mean square error of the values over rows[first:last], and its gradient."""
     # L = weight mean((V - R)^2)
@@ -295,7 +302,7 @@ def _yield(typing):
     return types.void(), generate
 
 
-@inlined
+@once
 def _meet(counter, arrivals):
     """Add one to counter[0] and wait until it is `arrivals`."""
     _arrive(counter)

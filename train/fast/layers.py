@@ -31,6 +31,8 @@ compiled = numba.njit(**_OPTIONS, no_cfunc_wrapper=True)
 # numba's cache link different copies of it, whose sums are in another order: other bits, another training.
 # That cache does not notice a change of this file alone: save kernels.py too.
 inlined = numba.njit(**_OPTIONS, forceinline=True, no_cfunc_wrapper=True)
+# What is large and called at one place only is part of its caller already for numba, not compiled twice.
+once = numba.njit(**_OPTIONS, inline="always")
 
 
 class Scaling(NamedTuple):
@@ -111,7 +113,7 @@ def _add(g, p, x0, x1, x2, x3):
     g[p + _3] += x3
 
 
-@inlined
+@once
 def _outer(d, a, row, rows, from_row, columns, g, first):
     """Add the outer product of rows of d and a, summed over samples, to the gradient g from `first` on."""
     # g_ji += sum_s d_j a_i
@@ -146,7 +148,7 @@ def _outer(d, a, row, rows, from_row, columns, g, first):
         j += _1
 
 
-@inlined
+@once
 def tanh(z, first, count):
     """Replace `count` numbers by their hyperbolic tangents."""
     for k in range(first, first + count):
