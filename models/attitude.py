@@ -10,7 +10,7 @@ import math
 
 import numpy as np
 
-from inclined_landing.models.compiled import formula, inlined, kernel, unlocked
+from inclined_landing.models.compiled import formula, inlined, inner, kernel, unlocked
 
 X, Y, Z, VX, VY, VZ, ROLL, PITCH, YAW, WX, WY, WZ, LAG = range(13)
 STATE_SIZE = 13
@@ -44,7 +44,7 @@ def small_sine_cosine(angle):
     return angle * odd, even
 
 
-@kernel
+@inner
 def sine_cosine(angle):
     """Return sine and cosine of an angle [rad] up to 1e5, exact to rounding; faster than `math`."""
     # angle = k pi/2 + x, |x| <= pi/4, with pi/2 in two parts
@@ -63,7 +63,7 @@ def away_from_zero(cosine):
     return cosine
 
 
-@formula
+@inlined
 def euler_rates(roll, pitch, wx, wy, wz):
     """Return the Euler rates (roll, pitch, yaw) [rad/s] from body rates [rad/s]."""
     return euler_rates_at(sine_cosine(roll), sine_cosine(pitch), wx, wy, wz)
@@ -77,13 +77,13 @@ def euler_rates_at(roll, pitch, wx, wy, wz):
     return cp * wx + sp * wz, wy - sr * yaw_rate, yaw_rate
 
 
-@formula
+@inlined
 def body_rates(roll, pitch, roll_rate, pitch_rate, yaw_rate):
     """Return body rates [rad/s] from Euler rates [rad/s]; the inverse of `euler_rates`."""
     return body_rates_at(sine_cosine(roll), sine_cosine(pitch), roll_rate, pitch_rate, yaw_rate)
 
 
-@formula
+@inlined
 def body_rates_at(roll, pitch, roll_rate, pitch_rate, yaw_rate):
     """Return the same as `body_rates`, from (sine, cosine) of roll and pitch."""
     (sr, cr), (sp, cp) = roll, pitch
@@ -124,7 +124,7 @@ def quaternion(roll, pitch, yaw):
     return cy * w - sy * z, cy * x - sy * y, cy * y + sy * x, cy * z + sy * w
 
 
-@formula
+@inlined
 def euler_angles(w, x, y, z):
     """Return (roll, pitch, yaw) [rad] of a unit quaternion, roll in [-pi/2, pi/2]."""
     sin_roll = min(1.0, max(-1.0, 2.0 * (y * z + w * x)))

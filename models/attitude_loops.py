@@ -22,11 +22,11 @@ import math
 import numpy as np
 
 from inclined_landing.models.attitude import PITCH_COMMAND, ROLL, ROLL_COMMAND, YAW_RATE_COMMAND
-from inclined_landing.models.compiled import formula, inlined, inner, kernel, unlocked
+from inclined_landing.models.compiled import inlined, inner, kernel, unlocked
 from inclined_landing.models.perturbation import GAIN_SCALE, TIME_CONSTANT_SCALE
 
 
-@formula
+@inlined
 def estimated_angles(roll, pitch, yaw, vx, vy, vz, v):
     """Return roll and pitch [rad] of the onboard estimate at a velocity [m/s] in the world."""
     lean = v.effects.estimator_lean
@@ -69,7 +69,7 @@ def loop_rates(angles, errors, integrals, u, v, p):
     )
 
 
-@formula
+@inlined
 def integrates(v):
     """Return whether the loops of roll and pitch have integral gains."""
     return v.effects.attitude_integral != 0.0 or v.effects.attitude_hold != 0.0

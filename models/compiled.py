@@ -34,6 +34,9 @@ class _CollectLater(event.Listener):
     def on_end(self, event) -> None:
         self.depth -= 1
         if self.depth == 0 and self.enabled:
+            if gc.get_freeze_count() == 0:
+                gc.freeze()  # What numba has made becomes old without a collection that looks at all of it.
+                gc.unfreeze()
             gc.enable()
 
 

@@ -12,10 +12,12 @@ import functools
 import math
 from collections.abc import Callable, Sequence
 from operator import attrgetter
+from types import SimpleNamespace
 
 import numpy as np
 
-from inclined_landing.models.compiled import formula, inlined, kernel, unlocked
+from inclined_landing.models.base.errors import UserError
+from inclined_landing.models.compiled import inlined, inner, unlocked
 from inclined_landing.models.parameters import load_vehicle
 from inclined_landing.models.perturbation import (
     DRAG_CHANGE,
@@ -88,7 +90,7 @@ def neutral(row, numbers, columns):
     return True
 
 
-@formula
+@inlined
 def rotor_speed_sum(thrust, v):
     """Return the sum of the rotor speeds [rad/s] at a total thrust [N], 0 without thrust.
 
@@ -109,7 +111,7 @@ def rotor_speed_sum(thrust, v):
     return motors * (slope * pwm + idle_speed)
 
 
-@formula
+@inlined
 def total_thrust(lag, pwm, v, p):
     """Return the total thrust F_t [N] at a lag state [PWM s] and a PWM command."""
     # F_t = scale (c_Omega Omega + c_PWM PWM) + bias
@@ -159,7 +161,7 @@ def fade(time, v):
     return 1.0 - v.effects.thrust_fade * time
 
 
-@formula
+@inlined
 def battery_voltage(lag, time, v):
     """Return the voltage [V] of the vehicle file's battery at a lag state, after a flight time [s]."""
     # U = U_open - drop load - discharge t, the load as steady PWM: lambda Omega
@@ -175,7 +177,7 @@ def supply(voltage, lag, time, v):
     return 1.0 + v.effects.voltage_sensitivity * (voltage - v.effects.voltage_reference)
 
 
-@formula
+@inlined
 def powered_thrust(thrust, lag, time, voltage, v):
     """Return the thrust [N] that sets the rotor speed, with bias, fade, sag and battery voltage."""
     # F = (F_t + bias) (1 - fade t) (1 - sag (load/reference - 1)) (1 + sensitivity (U - U_ref))
@@ -191,27 +193,6 @@ def intact(v):
     return 1.0 - 0.25 * (loss[0] + loss[1] + loss[2] + loss[3])
 
 
-@kernel
-def _hover_pwm(pwm, high, vehicle, p):
-    """Return `pwm` if no effect changes its thrust, else the PWM up to `high` at which the thrust is the
-    weight.
-
-    pwm: the hover PWM without effects. The result is `high` if no command can carry the weight.
-    """
-    v, low = vehicle[0], 0.0
-    weight = (v.body.mass + v.effects.load_mass) * v.environment.gravity
-    if _steady_thrust(pwm, v, p) == total_thrust(pwm / v.thrust.lag_rate, pwm, v, p):
-        return pwm
-    for _ in range(60):  # halves: to 1e-13 of what lies between
-        pwm = 0.5 * (low + high)
-        if _steady_thrust(pwm, v, p) < weight:
-            low = pwm
-        else:
-            high = pwm
-    return high
-
-
-@inlined
 def _steady_thrust(pwm, v, p):
     """Return the thrust [N] under a PWM held for long, at time 0."""
     lag = pwm / v.thrust.lag_rate
@@ -222,9 +203,32 @@ def settled_hover(vehicle: Vehicle) -> float:
     """Return the hover PWM at time 0 with the effects on the thrust: bias, sag, voltage.
 
     It is `Vehicle.hover_pwm` without effects, and the highest command if no command can carry the weight.
+    Raises UserError if the battery's sag is relative to a PWM of 0.
     """
-    high = max(vehicle.hover_pwm, vehicle.command_pwm_range[1])
-    return _hover_pwm(vehicle.hover_pwm, high, pack(vehicle), NEUTRAL)
+    if vehicle.effects_battery_reference == 0.0:
+        raise UserError("effects.battery_reference of the vehicle is 0; the battery's sag is relative to it")
+    # In Python, because a kernel would take longer to compile than thousands of these take.
+    v, pwm = _tables(vehicle), vehicle.hover_pwm
+    low, high = 0.0, max(pwm, vehicle.command_pwm_range[1])
+    weight = (v.body.mass + v.effects.load_mass) * v.environment.gravity
+    if _steady_thrust(pwm, v, NEUTRAL) == total_thrust(pwm / v.thrust.lag_rate, pwm, v, NEUTRAL):
+        return pwm
+    for _ in range(60):  # halves: to 1e-13 of what lies between
+        pwm = 0.5 * (low + high)
+        if _steady_thrust(pwm, v, NEUTRAL) < weight:
+            low = pwm
+        else:
+            high = pwm
+    return high
+
+
+def _tables(vehicle: Vehicle) -> SimpleNamespace:
+    """Return a vehicle with the names of `pack`, for formulas that Python runs."""
+    tables: dict[str, dict] = {}
+    for field in dataclasses.fields(vehicle):
+        table, _, entry = field.name.partition("_")
+        tables.setdefault(table, {})[entry] = getattr(vehicle, field.name)
+    return SimpleNamespace(**{table: SimpleNamespace(**entries) for table, entries in tables.items()})
 
 
 @inlined
@@ -250,7 +254,7 @@ def ground_gain(height, v):
     return min(1.0, v.effects.ground_effect * ratio * ratio * fading)
 
 
-@kernel
+@inner
 def ground_effect(position, r, thrust, inclination, present, azimuth, v):
     """Return the extra thrust [N] and body torque (x, y) [N m] of the rotors near a surface.
 

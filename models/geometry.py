@@ -16,7 +16,7 @@ import mujoco
 import numpy as np
 
 from inclined_landing.models.attitude import PITCH, ROLL, YAW, Z, rotation_entries, sine_cosine
-from inclined_landing.models.compiled import formula, inlined, kernel
+from inclined_landing.models.compiled import inlined, inner, kernel
 from inclined_landing.models.surface import slope_of
 from inclined_landing.models.vehicle import Vehicle
 
@@ -198,7 +198,7 @@ def _box_distance(dx, dy, dz, turns, centres, sizes, b):
 _UPRIGHT = (0.0, 1.0)  # sine, cosine of no angle
 
 
-@formula
+@inlined
 def platform_turns(roll, inclination, azimuth):
     """Return the angles of a platform for `platform_distance`, each as (sine, cosine)."""
     lean = sine_cosine(roll) if roll != 0.0 else _UPRIGHT
@@ -281,7 +281,7 @@ def reach_against(cosine, hull, lowered):
     return reach
 
 
-@kernel
+@inner
 def hull_distance(place, axis, turns, position, fleet, member, lowered):
     """Return a lower bound of the distance [m] of a vehicle's shapes to a platform; -inf inside of it.
 

@@ -17,7 +17,7 @@ import math
 
 import numpy as np
 
-from inclined_landing.models.compiled import formula, inlined, unlocked
+from inclined_landing.models.compiled import inlined, unlocked
 
 LOAD_SIZE = 6  # columns of a load's state: direction q, its rate q' [1/s], in the world's axes
 HANGING = (0.0, 0.0, -1.0, 0.0, 0.0, 0.0)  # at rest relative to the vehicle
@@ -29,7 +29,7 @@ def hanging(n: int) -> np.ndarray:
     return np.tile(HANGING, (n, 1))
 
 
-@formula
+@inlined
 def pull(x, y, z, vx, vy, vz, ax, ay, az, share, length):
     """Return the string's tension over the vehicle's mass [m/s2].
 

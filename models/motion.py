@@ -18,7 +18,7 @@ import numpy as np
 
 from inclined_landing.models.attitude import PITCH, ROLL, VX, WX, WY, WZ, body_rates, sine_cosine
 from inclined_landing.models.base.errors import UserError
-from inclined_landing.models.compiled import inlined, kernel
+from inclined_landing.models.compiled import inlined, inner, kernel
 
 MODES = ("surge", "sway", "heave", "roll", "pitch", "yaw")
 _LARGEST_ROLL = 1.2  # rad: the angles' chart ends at 90 deg
@@ -157,7 +157,7 @@ def displacement(i, t, waves, out):
         out[0, mode], out[1, mode], out[2, mode] = x, v, a
 
 
-@kernel
+@inner
 def rate(i, t, waves, out):
     """Write the rate alone, as in `displacement`, into `out` (6,)."""
     for mode in range(6):
@@ -169,7 +169,7 @@ def rate(i, t, waves, out):
         out[mode] = v
 
 
-@kernel
+@inner
 def acceleration(i, t, waves, out):
     """Write the acceleration alone, as in `displacement`, into `out` (6,)."""
     for mode in range(6):

@@ -160,7 +160,7 @@ class Platforms:
         return out
 
 
-@kernel
+@inner
 def strays(i, time, present, moving, rates):
     """Return a bound of the speed [m/s] at which any point of platform i leaves the path of a steady
     platform.

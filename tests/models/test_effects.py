@@ -181,6 +181,11 @@ def test_a_size_about_a_reference_is_two_sizes_about_both_of_its_sides(name):
     assert effect.at_ends(0.12, high) == pytest.approx((0.0, 0.12), abs=1e-15)
 
 
+def test_a_sag_relative_to_nothing_is_refused():
+    with pytest.raises(UserError, match="battery_reference of the vehicle is 0"):
+        forces.settled_hover(V.changed(effects_battery_reference=0.0))
+
+
 @pytest.mark.parametrize("name", ["thrust_curve", "battery_sag", "battery_voltage"])
 def test_what_is_linear_does_the_same_about_both_sides(name):
     effect, about = LIBRARY[name], LIBRARY[name].reference
