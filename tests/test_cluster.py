@@ -47,13 +47,7 @@ RECIPE = {
         f"landing-train landing --steps 32768 {SMALL_RUN} --seed {{seed}} --out {{out}} --no-report",
         "landing-eval success {out}/final.zip --plant analytic --out {out}/s",
     ],
-    "numbers": {
-        "strict": {
-            "title": "s",
-            "file": "s/success.json",
-            "row": {"starts": "frozen grid"},
-        }
-    },
+    "numbers": {"strict": {"title": "s", "file": "s/success.json", "row": {"starts": "frozen grid"}}},
 }
 
 

@@ -304,10 +304,7 @@ def test_nothing_in_the_network_of_a_policy_is_executed(kind, tmp_path, monkeypa
     monkeypatch.chdir(tmp_path)
     refused = {change.name: judged(READERS[kind], "p.zip", change.of) for change in READERS[kind].more}
     assert not (tmp_path / "harm").exists()
-    assert {name for name, sentence in refused.items() if not sentence} <= {
-        "columns first",
-        "a huge stride",
-    }
+    assert {name for name, sentence in refused.items() if not sentence} <= {"columns first", "a huge stride"}
 
 
 def test_nothing_in_a_checkpoint_is_executed(tmp_path, monkeypatch):

@@ -14,12 +14,7 @@ from stable_baselines3.common.env_checker import check_env as sb3_check
 
 from inclined_landing.envs import gym_env, ids
 from inclined_landing.envs.batch import BatchEnv
-from inclined_landing.envs.gym_env import (
-    InclinedLandingEnv,
-    InclinedLandingVectorEnv,
-    TaskEnv,
-    TaskVectorEnv,
-)
+from inclined_landing.envs.gym_env import InclinedLandingEnv, InclinedLandingVectorEnv, TaskEnv, TaskVectorEnv
 from inclined_landing.envs.sb3 import BatchVecEnv
 from inclined_landing.envs.tasks import TASKS, StepContext, make_task
 from inclined_landing.envs.tasks.base import hover_states

@@ -15,16 +15,7 @@ from inclined_landing.models.parameters import load_vehicle, write_vehicle
 
 V = load_vehicle()
 HEAVY = dataclasses.replace(V, body_mass=1.1 * V.body_mass)
-NO_VEHICLE = {
-    "benchmark",
-    "demo",
-    "export",
-    "curves",
-    "logs",
-    "plan",
-    "gap-example",
-    "doctor",
-}
+NO_VEHICLE = {"benchmark", "demo", "export", "curves", "logs", "plan", "gap-example", "doctor"}
 
 
 @pytest.mark.parametrize("name", [name for name in cli.COMMANDS if name not in NO_VEHICLE])

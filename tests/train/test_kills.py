@@ -14,10 +14,7 @@ import pytest
 from inclined_landing.train.run import RECORD
 from tests.training import assert_same_policy, train
 
-OPTIONS = {
-    "landing": "landing --steps 4096",
-    "touchdown": "touchdown --steps 4096",
-}
+OPTIONS = {"landing": "landing --steps 4096", "touchdown": "touchdown --steps 4096"}
 COMMON = "--environments 8 --rollout 64 --batch-size 256 --epochs 2 --threads 1 --no-report"
 INTERVALS = "--evaluate-every 3 --checkpoint-every 2"
 SIGNALS = (signal.SIGKILL, signal.SIGTERM, signal.SIGINT)

@@ -45,9 +45,7 @@ SETS = {"fit": 10, "heldout": 10}  # every kind of ordinary flight once in each
 
 
 def command(
-    out: Folder,
-    cause: Annotated[str | None, tyro.conf.arg(metavar="CAUSE")] = None,
-    seed: Seed = 0,
+    out: Folder, cause: Annotated[str | None, tyro.conf.arg(metavar="CAUSE")] = None, seed: Seed = 0
 ) -> None:
     """Write twenty flights with hidden effects, from an independent simulator.
 

@@ -383,10 +383,7 @@ def test_networks_of_any_size_and_kind(policy, tmp_path_factory):
 
 
 def test_the_command_writes_a_whole_folder(tmp_path, capsys):
-    for format, files in {
-        "c": {"README.md", "check.c", "src"},
-        "onnx": {"policy.onnx"},
-    }.items():
+    for format, files in {"c": {"README.md", "check.c", "src"}, "onnx": {"policy.onnx"}}.items():
         out = tmp_path / format
         assert cli.main(["export", "landing", "--format", format, "--out", str(out)]) == 0
         both = {"contract.json", "vectors.json"}

@@ -10,11 +10,7 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 from inclined_landing.eval.flying.simulated import firmware
-from inclined_landing.eval.flying.simulated.body import (
-    Body,
-    firmware_attitude,
-    plant_command,
-)
+from inclined_landing.eval.flying.simulated.body import Body, firmware_attitude, plant_command
 from inclined_landing.eval.flying.simulated.faults import FAULTS, Fault
 from inclined_landing.eval.flying.simulated.firmware import Firmware, FirmwareSetpoint, State
 from inclined_landing.eval.flying.simulated.transport import CameraQuality, LinkDirection, LinkQuality

@@ -82,8 +82,7 @@ def test_requests_balance_force_and_torque(change):
     vehicle = V.changed(**change)
     flight = prepare(flown(V, 3), vehicle)
     still = dataclasses.replace(
-        flight,
-        requests=dataclasses.replace(flight.requests, torques=np.zeros((flight.samples, 3))),
+        flight, requests=dataclasses.replace(flight.requests, torques=np.zeros((flight.samples, 3)))
     )
     wanted = requested_differences(still, vehicle)[0]
     # Requests with these differences, of mean 1; forces f_i = r_i (1 - loss_i); torque sum s_i f_i / sum f_i.

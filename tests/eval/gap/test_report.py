@@ -69,10 +69,7 @@ def example(verdict="effects"):
     moved = (0.21, (0.1, 0.3))
     left = Dependence("z", "place", 0.3, "m/s2", 0.4, 9.0, *moved, "position z")
     scored = {
-        "nothing": (
-            ScoredSet((), 0.9, {}, {}),
-            ScoredSet(("wind",), 0.1, {"wind": WIND}, {}),
-        ),
+        "nothing": (ScoredSet((), 0.9, {}, {}), ScoredSet(("wind",), 0.1, {"wind": WIND}, {})),
         "effects": (
             ScoredSet(
                 ("thrust_scale", "attitude_trim"), 0.8, {"thrust_scale": SCALE, "attitude_trim": TRIM}, {}

@@ -208,10 +208,7 @@ def test_false_alarms_of_what_landings_have_in_common(higher):
 
 def test_sets_of_flight_and_of_contact_are_told_together(higher, monkeypatch):
     found = made_up(monkeypatch, landings_of(higher[0], VEHICLE), {"platform_height": -0.02})
-    flown = (
-        ScoredSet(("wind",), 0.8, {"wind": {"x": 0.3, "y": 0.0}}, {}),
-        ScoredSet((), 0.2, {}, {}),
-    )
+    flown = (ScoredSet(("wind",), 0.8, {"wind": {"x": 0.3, "y": 0.0}}, {}), ScoredSet((), 0.2, {}, {}))
     sets = joint_sets(flown, found)
     assert sets[0].effects == ("wind", "platform_height") and set(sets[0].values) == set(sets[0].effects)
     total = sum(s.probability for s in found.sets)

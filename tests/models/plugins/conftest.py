@@ -7,12 +7,7 @@ import pytest
 from inclined_landing.models.parameters import load_vehicle
 
 VEHICLE = load_vehicle()
-GEARS = {
-    "thrust": "0 0 1 0 0 0",
-    "roll": "0 0 0 1 0 0",
-    "pitch": "0 0 0 0 1 0",
-    "yaw_rate": "0 0 0 0 0 1",
-}
+GEARS = {"thrust": "0 0 1 0 0 0", "roll": "0 0 0 1 0 0", "pitch": "0 0 0 0 1 0", "yaw_rate": "0 0 0 0 0 1"}
 ROTORS = "inclined_landing.rotors"
 ATTITUDE = "inclined_landing.attitude"
 

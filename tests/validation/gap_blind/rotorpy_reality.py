@@ -380,10 +380,7 @@ class Flights:
 
 
 def fly(
-    paths: np.ndarray,
-    worlds: Sequence[World],
-    rng: np.random.Generator,
-    reality: Reality,
+    paths: np.ndarray, worlds: Sequence[World], rng: np.random.Generator, reality: Reality
 ) -> list[Recording]:
     """Fly paths (k, n, REF_SIZE) at 50 Hz, one in each world, and return their logs."""
     rows = np.concatenate([np.repeat(paths[:1], round(WARM_UP * PILOT_RATE), axis=0), paths])
@@ -394,10 +391,7 @@ def fly(
 
 
 def fly_groups(
-    groups: Sequence[tuple[Drawn, int]],
-    rng: np.random.Generator,
-    reality: Reality,
-    seconds: float = 20.0,
+    groups: Sequence[tuple[Drawn, int]], rng: np.random.Generator, reality: Reality, seconds: float = 20.0
 ) -> list[list[Recording]]:
     """Fly so many ordinary flights for every (cause, count), all in one batch; kinds in a random order.
 

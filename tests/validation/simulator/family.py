@@ -190,8 +190,7 @@ def _full_state(c: Constants, rng) -> tuple[Constants, dict]:
     curve."""
     linear = rng.uniform(0.75, 0.9)
     c = c._replace(
-        drag_per_speed=tuple(x * linear for x in c.drag_per_speed),
-        attitude_trust=between(rng, 0.001, 0.01),
+        drag_per_speed=tuple(x * linear for x in c.drag_per_speed), attitude_trust=between(rng, 0.001, 0.01)
     )
     return c, {
         "controller": FULL_STATE,

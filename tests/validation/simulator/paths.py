@@ -126,11 +126,7 @@ def _arrive(u, way, velocity, acceleration, seconds):
 
 
 def _quintic(u):
-    return (
-        u**3 * (10 + u * (-15 + 6 * u)),
-        30 * u**2 * (1 - u) ** 2,
-        60 * u * (1 - u) * (1 - 2 * u),
-    )
+    return (u**3 * (10 + u * (-15 + 6 * u)), 30 * u**2 * (1 - u) ** 2, 60 * u * (1 - u) * (1 - 2 * u))
 
 
 def ordinary(kind: str, rng: np.random.Generator, seconds: float = 20.0, lowest: float = 0.0) -> np.ndarray:
