@@ -82,18 +82,8 @@ def test_words_that_do_not_fit_are_one_sentence(words, sentence, capsys):
     printed = capsys.readouterr()
     assert printed.out == "" and printed.err.count("\n") == 1 and len(printed.err) < 450
     assert printed.err.startswith(f"landing-eval: {sentence}")
-    assert printed.err.endswith(
-        (
-            "--help\n",
-            "one log\n",
-            "one policy\n",
-            "unset?\n",
-            "not nan\n",
-            "not inf\n",
-            "not 0.0\n",
-            "not 4.0\n",
-        )
-    )
+    ends = ("--help", "one log", "one policy", "unset?", "not nan", "not inf", "not 0.0", "not 4.0")
+    assert printed.err.endswith(tuple(f"{end}\n" for end in ends))
 
 
 @pytest.mark.parametrize(

@@ -74,12 +74,8 @@ def test_it_pushes_along_the_worlds_and_turns_about_the_bodys_axes(kind):
 
     A level vehicle; drag takes 0.2 % of the velocity, a tilt of 1 mrad gives g times that for the period.
     """
-    dt, a, b, c = (
-        V.command_control_period,
-        1 / V.attitude_time_constant,
-        V.attitude_bandwidth,
-        V.attitude_yaw_bandwidth,
-    )
+    dt, a = V.command_control_period, 1 / V.attitude_time_constant
+    b, c = V.attitude_bandwidth, V.attitude_yaw_bandwidth
     start = np.zeros((N, 13))
     start[:, Z], start[:, YAW], start[:, LAG] = 5.0, 0.7, V.hover_lag
     states = []

@@ -540,18 +540,12 @@ def test_vehicles_are_predicted_together_as_one_by_one(first):
     np.testing.assert_allclose(together, alone, rtol=0.0, atol=atol)
 
 
-@pytest.mark.parametrize(
-    "name",
-    [
-        "level_calibration",
-        "mocap_tilt",
-        "attitude_trim",
-        "yaw_loop",
-        "estimator_lean",
-        "attitude_integral",
-        "attitude_saturation",
-    ],
-)
+# Velocities are smoothed over 0.1 s, and one leans by their error; what an integral has of the start at rest
+# dies away with its own rate, 0.5 1/s.
+COARSE = ("estimator_lean", "attitude_integral", "attitude_saturation")
+
+
+@pytest.mark.parametrize("name", ["level_calibration", "mocap_tilt", "attitude_trim", "yaw_loop", *COARSE])
 def test_the_prediction_along_a_flight_knows_the_attitude_effects(name):
     """Positions up to the line that the start state is, angles once the start has died away."""
     vehicle = changed(name)
@@ -563,10 +557,7 @@ def test_the_prediction_along_a_flight_knows_the_attitude_effects(name):
         return np.abs(detrend(windows[..., :3], axis=1)).max(), np.abs(angles).max()
 
     (metres, radians), nominal = error(vehicle), error(V)
-    # Attitudes between rows; velocities smoothed over 0.1 s, which leans by 10 mm/s of their error.
-    # What an integral has of the start at rest dies away with its own rate, 0.5 1/s.
-    coarse = name in ("estimator_lean", "attitude_integral", "attitude_saturation")
-    assert metres < 2e-4 and radians < (2e-4 if coarse else 1e-5)
+    assert metres < 2e-4 and radians < (2e-4 if name in COARSE else 1e-5)
     assert nominal[0] > 5 * metres or nominal[1] > 5 * radians
 
 
@@ -719,10 +710,8 @@ def test_what_a_vehicle_has_already_it_may_have_less_of():
 
 def test_a_moment_comes_with_the_rate_at_which_it_is_taken_over():
     """None changes nothing; beside one that is there, the rate of either counts by its size."""
-    effect, held = (
-        LIBRARY["com_offset"],
-        V.changed(effects_com_offset=(0.0, -0.002), effects_attitude_hold=1.5),
-    )
+    effect = LIBRARY["com_offset"]
+    held = V.changed(effects_com_offset=(0.0, -0.002), effects_attitude_hold=1.5)
     for x, hold in ((0.0, 1.5), (1e-9, 1.5), (0.002, 1.0), (0.006, 0.75)):  # (2 1.5 + 6 0.5)/8
         new = effect.apply(held, {"x": x, "y": 0.0, "hold": 0.5})
         assert new.effects_attitude_hold == pytest.approx(hold, abs=1e-5)

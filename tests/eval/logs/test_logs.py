@@ -484,10 +484,8 @@ def test_one_of_several_vehicles_in_a_table_must_be_chosen(tmp_path, shift, colu
             read(tmp_path / "a.csv")
         assert main(["logs", str(tmp_path / "a.csv"), "--where", f"{column}={chosen}"]) == 0
         (tmp_path / "m.toml").write_text(f"inherit = 'documented'\nwhere = {{ {column} = {chosen!r} }}\n")
-        by_file, by_option = (
-            read(tmp_path / "a.csv", mapping=tmp_path / "m.toml"),
-            read(tmp_path / "a.csv", where={column: str(chosen)}),
-        )
+        by_file = read(tmp_path / "a.csv", mapping=tmp_path / "m.toml")
+        by_option = read(tmp_path / "a.csv", where={column: str(chosen)})
         assert np.array_equal(by_file.position, by_option.position)
         np.testing.assert_allclose(by_file.position[:, 0], np.sin(by_file.t), atol=1e-12)
     with pytest.raises(UserError, match=f"column {column} is never 8; choose from {chosen}"):
@@ -578,18 +576,8 @@ def test_a_mapping_names_scales_turns_shifts_and_derives(tmp_path):
         cmd_thrust_pwm = { mean = ["m1", "m2"], late = 0.02 }
         """
     )
-    t = np.arange(10) / 100
-    ones = np.ones(10)
-    columns = [
-        1e6 * t,
-        t,
-        2 * t,
-        100 * t,
-        0.1 * ones,
-        0.2 * ones,
-        4e4 + np.arange(10),
-        4e4 + np.arange(10) + 2,
-    ]
+    t, sent, ones = np.arange(10) / 100, 4e4 + np.arange(10), np.ones(10)
+    columns = [1e6 * t, t, 2 * t, 100 * t, 0.1 * ones, 0.2 * ones, sent, sent + 2]
     path = table(tmp_path / "a.csv", "time,north,east,down,phi,theta,m1,m2", *columns)
     log = read(path, mapping=mapping)
     assert np.allclose(log.position, np.stack([t, -2 * t, 0.5 - t], axis=1))

@@ -105,10 +105,8 @@ def test_custom_numbers_stand_for_the_text(plugin, name):
             spec.numeric(plugin).data = np.concatenate(numbers)
         model = spec.compile()
         data = mujoco.MjData(model)
-        data.qpos[:3], data.qvel[:] = (
-            (0.05, 0, V.platform_surface_height + 0.1),
-            (0.3, -0.2, -0.5, 1, -1, 0.5),
-        )
+        data.qpos[:3] = 0.05, 0, V.platform_surface_height + 0.1
+        data.qvel[:] = 0.3, -0.2, -0.5, 1, -1, 0.5
         data.act[0], data.ctrl[:] = 1.2 * V.hover_lag, (0.8 * V.hover_pwm, 0.2, -0.1, 1.0)
         mujoco.mj_step(model, data, nstep=10)
         ends.append(np.concatenate([data.qpos, data.qvel, data.act]))
