@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
-import dataclasses
 import functools
+from typing import Any
 
 import numpy as np
 
@@ -27,18 +27,6 @@ COMPARED = ((PAPER, KINEMATIC), (EXTENDED, VEHICLE), (PAPER, VEHICLE))  # two of
 FEWEST = 10  # landings in both plants, for a comparison
 
 
-@dataclasses.dataclass(frozen=True)
-class Comparison:
-    """Flights of two plants from the same starts, those successful in both."""
-
-    first: str
-    second: str
-    same: float  # share of starts with the same outcome
-    steps: np.ndarray  # (k,) control steps that the second takes longer
-    period: float  # s, of a control step
-    final: float  # m, largest distance of the final positions of flights of equal length
-
-
 def fly(policy: Policy, starts: np.ndarray) -> dict[str, list[Flight]]:
     """Return the policy's flights from `starts` (k, 2), by plant."""
     states = hover_states(starts, policy.task.vehicle)
@@ -59,36 +47,37 @@ def quantities(flights: list[Flight]) -> np.ndarray:
     return rows
 
 
-def compare(flown: dict[str, list[Flight]], first: str, second: str) -> Comparison | None:
-    """Return the comparison of two plants; None if fewer than FEWEST flights succeed in both."""
-    pairs = [(a, b) for a, b in zip(flown[first], flown[second]) if a.success and b.success]
-    same = np.mean(
-        [a.success == b.success and a.touched == b.touched for a, b in zip(flown[first], flown[second])]
-    )
+def compare(flown: dict[str, list[Flight]], first: str, second: str) -> dict[str, Any] | None:
+    """Return the comparison of two plants; None if fewer than FEWEST flights succeed in both.
+
+    `same`: share of starts with the same outcome. Of the flights that succeed in both, `steps` (k,): control
+    steps that the second takes longer; `period` [s] of one; `final`: largest distance [m] of the final
+    positions of flights of equal length.
+    """
+    both = list(zip(flown[first], flown[second]))
+    pairs = [(a, b) for a, b in both if a.success and b.success]
     if len(pairs) < FEWEST:
         return None
     equal = [(p, q) for p, q in pairs if len(p.t) == len(q.t)]
-    final = max((np.linalg.norm(p.state[-1, :3] - q.state[-1, :3]) for p, q in equal), default=np.nan)
-    return Comparison(
-        first,
-        second,
-        float(same),
-        np.array([len(q.t) - len(p.t) for p, q in pairs]),
-        float(pairs[0][0].t[1]),
-        float(final),
-    )
+    return {
+        "first": first,
+        "second": second,
+        "same": float(np.mean([a.success == b.success and a.touched == b.touched for a, b in both])),
+        "steps": np.array([len(q.t) - len(p.t) for p, q in pairs]),
+        "period": float(pairs[0][0].t[1]),
+        "final": float(
+            max((np.linalg.norm(p.state[-1, :3] - q.state[-1, :3]) for p, q in equal), default=np.nan)
+        ),
+    }
 
 
-def claims(flown: dict[str, list[Flight]], twins: list[Comparison]) -> list[Claim]:
+def claims(flown: dict[str, list[Flight]], twins: list[dict[str, Any]]) -> list[Claim]:
     """Return the claims: the same model gives the same flights, and equal success in both plants."""
     result = []
     for c in twins:
-        claim = functools.partial(WORDS.claim, "closed_loop", name=f"{c.second} and {c.first}")
-        result += [
-            claim("outcome", c.same),
-            claim("time", float(np.mean(c.steps == 0))),
-            claim("final", c.final),
-        ]
+        claim = functools.partial(WORDS.claim, "closed_loop", name=f"{c['second']} and {c['first']}")
+        equal = float(np.mean(c["steps"] == 0))
+        result += [claim("outcome", c["same"]), claim("time", equal), claim("final", c["final"])]
     share = {name: np.mean([f.strict for f in flights]) for name, flights in flown.items()}
     return [*result, WORDS.claim("closed_loop", "success", abs(share[VEHICLE] - share[PAPER]))]
 
@@ -113,10 +102,10 @@ def section(policy: Policy, starts: np.ndarray) -> Section:
     else:
         *twins, cross = compared
         found = claims(flown, twins)
-        early, middle, late = np.quantile(cross.steps * cross.period, [0.05, 0.5, 0.95])
+        early, middle, late = np.quantile(cross["steps"] * cross["period"], [0.05, 0.5, 0.95])
         remarks = [
-            f"From the same start, {cross.second} lands {middle:+.2f} s later than {cross.first} (median; "
-            f"90 % of the starts: {early:+.2f} to {late:+.2f} s). A different rate loop flies a "
+            f"From the same start, {cross['second']} lands {middle:+.2f} s later than {cross['first']} "
+            f"(median; 90 % of the starts: {early:+.2f} to {late:+.2f} s). A different rate loop flies a "
             "different path to the same goal."
         ]
     heads = ("plant", "success", "without touching", *(f"{q} [{u}]" for q, u in zip(QUANTITIES, UNITS)))
@@ -126,8 +115,5 @@ def section(policy: Policy, starts: np.ndarray) -> Section:
         {"policy": policy.path.name, "starts": len(starts)},
         tables=[Table("Landings and medians at the goal box", heads, rows)],
         remarks=remarks,
-        data={
-            "plants": summary,
-            "comparisons": [dataclasses.asdict(c) for c in compared],
-        },
+        data={"plants": summary, "comparisons": compared},
     )

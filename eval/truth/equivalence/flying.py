@@ -30,7 +30,7 @@ STEPS = 300  # control steps of 0.02 s
 FAMILIES = ("full steps", "smooth", "landing-like", "recorded")
 HEIGHT = 500.0  # m; full thrust up or none at all moves 6 s x up to 60 m/s
 FINE = 20  # RK4 steps in a control period, 1 ms each: the equations solved to 1e-8 m
-ATTITUDES: tuple[Attitude, ...] = ("kinematic", "rate_loop")
+MODES: dict[Attitude, str] = {"kinematic": "kinematic", "rate_loop": "rate loop"}  # of attitude, in words
 
 
 def engine(n: int, attitude: Attitude, vehicle: Vehicle | None = None, **options) -> MujocoPlant:

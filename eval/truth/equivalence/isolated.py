@@ -164,10 +164,9 @@ def section(v: Vehicle, count: int, seed: int) -> Section:
         else:
             claims.append(claim("lag", lag, integrator=integrator))
     rows = []
-    for attitude in flying.ATTITUDES:
+    for attitude, mode in flying.MODES.items():
         alone = {name: angle_errors(v, attitude, (name,)) for name in _COLUMNS}
         together = angle_errors(v, attitude, tuple(_COLUMNS))
-        mode = attitude.replace("_", " ")
         for name in alone:
             claims.append(claim(f"alone_{attitude}", alone[name][name], name=name, mode=mode))
         others = max(alone[name][other] for name in alone for other in alone if other != name)

@@ -14,9 +14,9 @@ from inclined_landing.eval.base.colours import BLUE, GREEN, INK, MUTED, ORANGE, 
 from inclined_landing.eval.base.style import legend_below
 from inclined_landing.eval.truth.equivalence import flying
 from inclined_landing.eval.truth.equivalence.flying import (
-    ATTITUDES,
     FAMILIES,
     HEIGHT,
+    MODES,
     WORDS,
     Sequences,
     angle_gap,
@@ -34,7 +34,7 @@ from inclined_landing.models.vehicle import Vehicle
 PAPER_SUBSTEPS = 1  # RK4 at the control period, as the paper integrates
 FLIGHT_LIMITS = {
     attitude: tuple(WORDS.tables["levels"][f"flight_{attitude}_{q}"]["high"] for q in ("position", "angle"))
-    for attitude in ATTITUDES
+    for attitude in MODES
 }  # m, deg
 
 
@@ -141,7 +141,7 @@ def measure(
     The flights (steps, n, 13) are those of the equations and of the engine; they are claimed by family.
     """
     commands, starts = flying.side_by_side(vehicle, sequences)
-    n, mode = len(starts), attitude.replace("_", " ")
+    n, mode = len(starts), MODES[attitude]
     found = accelerations(vehicle, attitude, count, seed)
     flown = flying.fly(equations(n, attitude, vehicle=vehicle), commands, starts)
     landed = flying.fly(engine(n, attitude, vehicle), commands, starts)
@@ -170,7 +170,7 @@ def draw(vehicle: Vehicle, gaps: dict[Attitude, Gaps], *axes: Axes) -> None:
             axis.semilogy(t, np.maximum(largest, 1e-13), color=colours[family], lw=1.4, **style)
         axis.axhline(FLIGHT_LIMITS[attitude][0], color=INK, lw=1, ls=":", label="tolerance")
         axis.plot([], [], color=MUTED, lw=1.4, ls="--", label="the same in 2-D")
-        axis.set(title=attitude.replace("_", " ").capitalize(), xlabel="time [s]", xlim=(0, 6))
+        axis.set(title=MODES[attitude].capitalize(), xlabel="time [s]", xlim=(0, 6))
         axis.set(ylabel="largest position difference [m]", ylim=(1e-11, 1e-3))
         legend_below(axis)
 
@@ -191,7 +191,7 @@ def section(vehicle: Vehicle, sequences: list[Sequences], count: int, seed: int)
     rate_loop, flown, _, looped = measure(vehicle, "rate_loop", sequences, count, seed)
     gaps: dict[Attitude, tuple[Gaps, Gaps]] = {"kinematic": drawn, "rate_loop": looped}
     rows = [
-        (attitude.replace("_", " "), label, p, s, a)
+        (MODES[attitude], label, p, s, a)
         for attitude, (step, flight) in gaps.items()
         for (label, p, a), (_, s, _) in zip(flight.by_group(), step.by_group())
     ]

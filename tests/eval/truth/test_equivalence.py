@@ -59,12 +59,12 @@ def check(claims):
     assert all(len(c.why) > 20 for c in claims)
 
 
-@pytest.mark.parametrize("attitude", flying.ATTITUDES)
+@pytest.mark.parametrize("attitude", flying.MODES)
 def test_three_levels(attitude, flights):
     check(levels.measure(V, attitude, flights, 200, 3)[0])
 
 
-@pytest.mark.parametrize("attitude", flying.ATTITUDES)
+@pytest.mark.parametrize("attitude", flying.MODES)
 @pytest.mark.parametrize("change", [
     {"thrust_lag_rate": V.thrust_lag_rate * (1 + 1e-4)},
     {"drag_coefficients": tuple(1.001 * c for c in V.drag_coefficients)},
@@ -107,7 +107,7 @@ def test_order_of_every_integrator(steps):
     from inclined_landing.models.scene import INTEGRATORS
 
     assert set(convergence.ORDERS) - {"equations, RK4"} == set(INTEGRATORS)
-    check([c.claim() for c in convergence.measure(V, steps.commands)])
+    check(convergence.claims(convergence.measure(V, steps.commands)))
 
 
 def test_the_gap_to_the_paper_halves_when_the_bandwidth_doubles(steps):
