@@ -126,6 +126,8 @@ def test_policies_must_go_together():
     setpoint, landing, touchdown = POLICIES
     with pytest.raises(UserError, match="the setpoint policy landing is for the task landing"):
         MissionPlan(landing, landing, touchdown)
+    with pytest.raises(UserError, match="the touchdown policy landing is for the task landing"):
+        MissionPlan(setpoint, landing, landing)
     with pytest.raises(UserError, match=r"landing policy for one of 20\.0 deg, touchdown policy for 25\.7"):
         MissionPlan(setpoint, load_policy("landing-nominal", inclination=np.radians(-20.0)), touchdown)
     heavy = PLAN.vehicle.changed(body_mass=0.04)

@@ -202,6 +202,9 @@ def test_one_command_draws_scores_and_prints_the_table(tmp_path, monkeypatch, ca
     nothing = sum(not row["causes"] for row in rows)
     assert re.search(rf"{QUIET} \|.*\| {nothing} of {nothing} ", text)
     failed = {"case": "fresh_0", "set": "fresh", "plan": True} | score.score_case(label(""), report(WIND))
-    assert command.markdown([failed]).splitlines()[-1].startswith(f"| fresh_0 | {QUIET} | effects | wind |")
+    sure = {"case": "dev_0", "set": "dev", "plan": True} | score.score_case(label(), report(WIND, sure=True))
+    lines = command.markdown([*[sure] * 9, failed]).splitlines()
+    assert f"| {SINGLE} | 9 of 9 [70, 100 %] |  | 9 of 9 [70, 100 %] |" in lines  # Wilson's interval
+    assert lines[-1].startswith(f"| fresh_0 | {QUIET} | effects | wind |")
     with pytest.raises(UserError, match="--sets rotorpy needs rotorpy; pip install"):
         command.command(tmp_path / "other", ("rotorpy",))
