@@ -78,7 +78,9 @@ class MissionPlan:
             boxless = kind is InclinedLanding and task.goal_size is None
             if not isinstance(task, kind) or boxless:
                 raise UserError(f"the {leg} policy {policy.name} is for the task {task.name}")
-            if _without_limit(task.vehicle) != _without_limit(self.task.vehicle):
+            # Their attitude command limits may differ.
+            limit = self.task.vehicle.command_angle_limit
+            if task.vehicle.changed(command_angle_limit=limit) != self.task.vehicle:
                 raise UserError(
                     f"the {leg} policy {policy.name} is for a different vehicle than the previous one"
                 )
@@ -212,11 +214,6 @@ def slope_normal(task) -> np.ndarray:
     return np.array(
         [flat * math.cos(task.azimuth), flat * math.sin(task.azimuth), math.cos(task.inclination)]
     )
-
-
-def _without_limit(vehicle: Vehicle) -> Vehicle:
-    """Return the vehicle without its attitude command limit, which differs by task."""
-    return dataclasses.replace(vehicle, command_angle_limit=0.0)
 
 
 def fly_missions(

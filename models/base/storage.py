@@ -48,7 +48,8 @@ def read_bytes(path: str | Path, what: str, largest: int = LARGEST) -> bytes:
     try:
         kind = os.stat(path)
         if not stat.S_ISREG(kind.st_mode):
-            raise UserError(f"{what} {name} is {_kind(kind.st_mode)}, not a file")
+            found = "a folder" if stat.S_ISDIR(kind.st_mode) else "a pipe or device"
+            raise UserError(f"{what} {name} is {found}, not a file")
         if kind.st_size > largest:
             raise UserError(f"{what} {name} has {kind.st_size} bytes; the limit is {largest}")
         with open(path, "rb") as file:
@@ -103,10 +104,6 @@ def parse_json(text: str | bytes, what: str) -> Any:
         return json.loads(text)
     except (ValueError, RecursionError) as error:
         raise UserError(f"{what} is not JSON: {_lower(error)}") from error
-
-
-def _kind(mode: int) -> str:
-    return "a folder" if stat.S_ISDIR(mode) else "a pipe or device"
 
 
 def _lower(error: Exception) -> str:

@@ -284,7 +284,11 @@ class Effect:
 
     def at_ends(self, value: float, reference: float) -> tuple[float, float]:
         """Return the two sizes, about the lowest and the highest reference, whose sum equals this one."""
-        share = self._towards(reference)
+        about = self._about
+        ends = (*about.either_side(), reference)
+        # 1 - load/reference is linear in 1/reference
+        first, last, at = (1.0 / x for x in ends) if about.unit == "PWM" else ends
+        share = (first - at) / (first - last)
         return value * (1.0 - share), value * share
 
     def from_ends(self, low: float, high: float) -> tuple[float, float]:
@@ -293,17 +297,10 @@ class Effect:
         share = high / value if value else 0.5
         about = self._about
         first, last = about.either_side()
-        if about.unit == "PWM":  # 1 - load/reference is linear in 1/reference
+        if about.unit == "PWM":
             inverse = (1.0 - share) / first + share / last
             return value, 1.0 / inverse if inverse > 0.0 else about.bounds[1]
         return value, first + share * (last - first)
-
-    def _towards(self, reference: float) -> float:
-        about = self._about
-        first, last = about.either_side()
-        if about.unit == "PWM":
-            return (1.0 / first - 1.0 / reference) / (1.0 / first - 1.0 / last)
-        return (reference - first) / (last - first)
 
     @property
     def _about(self) -> Parameter:
