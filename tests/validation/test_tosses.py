@@ -28,7 +28,7 @@ def tossed(count, rows=70):
 
 
 def test_contact_is_found_in_tosses_of_the_engine():
-    tosses = tossed(12)
+    tosses = tossed(6)
     assert interval_of(tosses) == pytest.approx(INTERVAL)
     at, covariance = estimate(windows_of(tosses), INTERVAL)
     spread = np.sqrt(np.diag(covariance))

@@ -258,7 +258,7 @@ def test_vehicles_that_fly_together_fly_as_they_do_alone(name):
     effects = ("attitude_delay", "slung_load", "platform_tilt", "foot_height", "motor_lag")
     cases = changes.changes((), effects, ("medium",))
     variants = [(case.vehicle(known), 1.0) for case in cases] + [(known, 0.9)]
-    starts = policy.task.start(hover_states(frozen.grid()[::120], known))
+    starts = policy.task.start(hover_states(frozen.grid()[::250], known))
     together = list(fly_each(policy, starts, "hybrid", variants))
     alone = [next(fly_each(policy, starts, "hybrid", [variant])) for variant in variants]
     assert len(together) == 7
