@@ -72,7 +72,6 @@ class Levels:
 
     name: str
     values: tuple[float, ...]
-    unit: str  # that of the study file
 
 
 @dataclasses.dataclass(frozen=True)
@@ -85,7 +84,6 @@ class Range:
     distribution: str
     mean: float  # of the normal distribution before it is cut to the range
     deviation: float
-    unit: str
 
 
 @dataclasses.dataclass(frozen=True)
@@ -190,8 +188,7 @@ def _resolved(file: StudyFile, vehicle: Vehicle) -> Study:
 
 def _parameter(parameter: Parameter, entry: Varied, hypercube: bool) -> Levels | Range:
     """Return a parameter in SI units; raises UserError if its entry has no valid form."""
-    name, unit = parameter.name, entry.unit
-    units = UNITS[parameter.kind]
+    name, unit, units = parameter.name, entry.unit, UNITS[parameter.kind]
     if unit not in units:
         raise UserError(f"parameter {name} needs a unit, {' or '.join(units)}, not {shown(repr(unit))}")
     named = {key for key, value in structs.asdict(entry).items() if value is not None} - {"unit"}
@@ -205,23 +202,18 @@ def _parameter(parameter: Parameter, entry: Varied, hypercube: bool) -> Levels |
         raise UserError(f"parameter {name} needs one of value, values, {kinds}")
     numbers = entry.values if entry.value is None else (entry.value,)
     if numbers is not None:
-        return Levels(name, tuple(_in_si(parameter, number, unit) for number in numbers), unit)
-    return _range(parameter, entry)
-
-
-def _range(parameter: Parameter, entry: Varied) -> Levels | Range:
-    name, unit, distribution = parameter.name, entry.unit, entry.distribution or "uniform"
+        return Levels(name, tuple(_in_si(parameter, number, unit) for number in numbers))
     low = parameter.low if entry.start is None else _in_si(parameter, entry.start, unit)
     high = parameter.high if entry.stop is None else _in_si(parameter, entry.stop, unit)
     if low >= high:
         raise UserError(f"parameter {name}: the range is empty")
-    factor = UNITS[parameter.kind][unit]
-    mean, deviation = factor * (entry.mean or 0.0), factor * (entry.deviation or 0.0)
+    distribution = entry.distribution or "uniform"
+    mean, deviation = (units[unit] * (number or 0.0) for number in (entry.mean, entry.deviation))
     if distribution == "normal" and not low <= mean <= high:
         raise UserError(f"parameter {name}: the mean must be in the range")
     if entry.count is None:
-        return Range(name, low, high, distribution, mean, deviation, unit)
-    return Levels(name, tuple(np.linspace(low, high, entry.count).tolist()), unit)
+        return Range(name, low, high, distribution, mean, deviation)
+    return Levels(name, tuple(np.linspace(low, high, entry.count).tolist()))
 
 
 def _in_si(parameter: Parameter, value: float, unit: str) -> float:
