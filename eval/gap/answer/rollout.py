@@ -39,7 +39,6 @@ from inclined_landing.models.base.errors import UserError
 from inclined_landing.models.load import UNLOADED, hanging
 from inclined_landing.models.parameters import as_vehicle
 from inclined_landing.models.perturbation import neutral
-from inclined_landing.models.plants import MujocoPlant, check_plant
 from inclined_landing.models.vehicle import Vehicle
 
 EVERY = 1.0  # s between the starts of two windows
@@ -179,10 +178,12 @@ def simulate(
         state[:, :LAG] += perturbation
     ambient = starts.gather([f.ambient for f in starts.flights])
     integral = starts.gather([angle_integrals(f, vehicle) for f in starts.flights], 1)[:, 0]
-    check_plant(plant)
     if plant == "analytic":
         pose = _analytic(starts, vehicle, state, integral, commands, ambient)
     else:
+        from inclined_landing.models.plants import check_plant  # here, as most predictions need no engine
+
+        check_plant(plant)
         pose = _mujoco(starts, vehicle, state, integral, commands, ambient, lag)
     if late:
         pose[:, :, 3:] = earlier(pose[:, :, 3:], late / starts.dt)
@@ -221,6 +222,8 @@ def _analytic(starts, vehicle, state, integral, commands, ambient) -> np.ndarray
 
 def _mujoco(starts, vehicle, state, integral, commands, ambient, lag) -> np.ndarray:
     """Return the poses simulated in MuJoCo; effects of flight time and voltage enter as a thrust scale."""
+    from inclined_landing.models.plants import MujocoPlant
+
     n = len(starts)
     plain = dataclasses.replace(
         without_delays(vehicle), effects_thrust_fade=0.0, effects_voltage_sensitivity=0.0

@@ -11,6 +11,7 @@ sign-flip permutation test over blocks of a few seconds, with the largest gain o
 from __future__ import annotations
 
 import dataclasses
+import itertools
 import math
 from collections.abc import Sequence
 
@@ -199,18 +200,19 @@ def _functions(
     problem: Problem, residual: Sequence[np.ndarray], inputs, bases, repeating: ReferenceResidual | None
 ) -> list[_RidgeRegression]:
     """Return one ridge regression for every group of inputs along every target."""
-    block_of, result = _blocks(problem), []
-    for name, (_, arrays) in inputs.items():
-        features = [f.cut(bases[name](x)) for f, x in zip(problem.flights, arrays)]
+    block_of = _blocks(problem)
+
+    def fits(name: str) -> list[_RidgeRegression]:
+        features = [f.cut(bases[name](x)) for f, x in zip(problem.flights, inputs[name][1])]
         on = (LINEAR[name],) if name in LINEAR else TARGETS
-        targets = [t for t in on if problem.logged[:, _channels(t)].any()]
         known = repeating.weights.get(name, {}) if repeating else {}
+        return [
+            _fit(problem, residual, target, name, features, block_of, known.get(target))
+            for target in on
+            if problem.logged[:, _channels(target)].any()
+        ]
 
-        def fit(target: str, known, name=name, features=features) -> _RidgeRegression:
-            return _fit(problem, residual, target, name, features, block_of, known)
-
-        result += two_at_a_time(fit, targets, map(known.get, targets))
-    return result
+    return list(itertools.chain.from_iterable(two_at_a_time(fits, inputs)))
 
 
 def _dependence(

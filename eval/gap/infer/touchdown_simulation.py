@@ -21,10 +21,6 @@ from inclined_landing.eval.gap.model.prediction import delayed_commands, without
 from inclined_landing.models.attitude import LAG, PITCH, ROLL, X, Y, Z
 from inclined_landing.models.effects import Effect
 from inclined_landing.models.effects.touchdown import spring_of
-from inclined_landing.models.geometry import reach_below, shapes_of
-from inclined_landing.models.plants import MujocoPlant
-from inclined_landing.models.plants.recorder import fly
-from inclined_landing.models.scene import compile_scene
 from inclined_landing.models.vehicle import Vehicle
 
 STEP = 0.00125  # s, largest step of the engine
@@ -45,6 +41,9 @@ class TouchdownProblem(Candidates):
     @staticmethod
     def of(landings: Sequence[Landing], vehicle: Vehicle, library: Mapping[str, Effect]) -> TouchdownProblem:
         """Return the problem with the effects of contact of a library."""
+        from inclined_landing.models.geometry import reach_below, shapes_of
+        from inclined_landing.models.scene import compile_scene
+
         contact = {name: effect for name, effect in library.items() if effect.contact}
         reach = float(reach_below(shapes_of(compile_scene(vehicle)), part="feet"))
         samples = min(len(x.compared) for x in landings)
@@ -95,6 +94,9 @@ def static_deflection(vehicle: Vehicle, reach: float) -> tuple[float, float]:
 
 def simulate(landings: Sequence[Landing], vehicle: Vehicle) -> np.ndarray:
     """Return the simulated pose (n, rows + 1, 6) of every landing, in the MuJoCo plant."""
+    from inclined_landing.models.plants import MujocoPlant  # here, as most flights have no landing
+    from inclined_landing.models.plants.recorder import fly
+
     dt = landings[0].dt
     rows = max(x.rows for x in landings)
     n = len(landings)

@@ -14,6 +14,7 @@ all windows of all flights, in every channel; intervals are from a bootstrap ove
 from __future__ import annotations
 
 import dataclasses
+import functools
 from collections.abc import Sequence
 
 import numpy as np
@@ -40,6 +41,7 @@ class ErrorResponses:
     dt: float
 
     @staticmethod
+    @functools.lru_cache(maxsize=16)  # flights of one rate have the same
     def of(rows: int, dt: float, vehicle: Vehicle, requests: bool = False) -> ErrorResponses:
         """Return the responses for windows of `rows` samples dt apart, attitude loops as of `vehicle`.
 

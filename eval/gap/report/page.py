@@ -12,18 +12,15 @@ import time
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 from types import MappingProxyType
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
-from matplotlib.axes import Axes
-from matplotlib.figure import Figure
 
 from inclined_landing.envs.shared.tables import new_table, say, show_table
 from inclined_landing.eval.base.claims import Section, Table
 from inclined_landing.eval.base.colours import BLUE, GREEN, INK, ORANGE, PURPLE, RULE
 from inclined_landing.eval.base.options import FlightSource
 from inclined_landing.eval.base.page import of_sections, png
-from inclined_landing.eval.base.style import panel, styled
 from inclined_landing.eval.gap.answer import rollout
 from inclined_landing.eval.gap.answer.identification import Identification
 from inclined_landing.eval.gap.measured.usable import ReadFlights
@@ -35,6 +32,10 @@ from inclined_landing.eval.logs import FlightLog
 from inclined_landing.models.base import storage
 from inclined_landing.models.base.errors import UserError
 from inclined_landing.models.vehicle import Vehicle
+
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
+    from matplotlib.figure import Figure
 
 _USE = (
     f"{VEHICLE} is the corrected model for every command of this package; {MJCF} is the same model for "
@@ -370,6 +371,10 @@ def figures(d: Diagnosis, track: Track | None) -> dict[str, bytes]:
 
 def overview(d: Diagnosis, one: Track | None) -> Figure:
     """Return a flight with predictions before and after the correction, above the error by horizon."""
+    from matplotlib.figure import Figure  # here, as the page of `identify` has no figure
+
+    from inclined_landing.eval.base.style import panel, styled
+
     below = 3.2
     with styled():
         figure = Figure(figsize=(WIDTH, below + (2.9 if one else 0.0)))
