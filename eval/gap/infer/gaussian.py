@@ -44,6 +44,8 @@ MOST_SPIKE_ABOUT = 0.3  # the same of the two columns of an effect about a refer
 EM_ROUNDS = 3  # more let the between-flight variance of confounded parameters run away
 PRIOR_FLIGHTS = 2.0  # weight of the prior between-flight variance (inverse gamma), in flights
 
+_SHAPE_LOG_DET = math.log(np.linalg.det(SHAPE_COVARIANCE))
+
 EffectSet = frozenset[str]
 Key = tuple[str, str]
 
@@ -442,9 +444,7 @@ class Evidence:
         s, ends = low + high, np.array([low, high]) / width
         t = 0.5 * (high - low) / s if s else math.inf
         product = -0.5 * (s / width) ** 2 - 2.0 * t * t - math.log(0.5 * max(abs(s) / width, 0.1))
-        normal = -0.5 * ends @ np.linalg.solve(SHAPE_COVARIANCE, ends) - 0.5 * math.log(
-            np.linalg.det(SHAPE_COVARIANCE)
-        )
+        normal = -0.5 * ends @ np.linalg.solve(SHAPE_COVARIANCE, ends) - 0.5 * _SHAPE_LOG_DET
         return min(0.0, product - normal)
 
     def _mode(self, k: np.ndarray, times: np.ndarray) -> tuple[np.ndarray, float]:

@@ -10,6 +10,7 @@ of its own (`Fitting.forms`), free while it is in the set.
 from __future__ import annotations
 
 import dataclasses
+import itertools
 import math
 from collections.abc import Iterable, Mapping, Sequence
 from typing import ClassVar, TypeVar
@@ -362,10 +363,10 @@ def slab_covariance(candidates: Candidates, columns: Sequence[Column]) -> np.nda
     # s (1/2 + t) along the two columns: E x_i^2 = w^2 (1/4 + 1/16), E x_i x_j = w^2 (1/4 - 1/16).
     width = slab_deviations(candidates, columns)
     shape = np.eye(len(columns))
-    for i, one in enumerate(columns):
-        for j, other in enumerate(columns):
-            if at_an_end(one) and one.key == other.key:
-                shape[i, j] = SHAPE_COVARIANCE[0, int(i != j)]
+    ends = [k for k, column in enumerate(columns) if at_an_end(column)]
+    for i, j in itertools.product(ends, ends):
+        if columns[i].key == columns[j].key:
+            shape[i, j] = SHAPE_COVARIANCE[0, int(i != j)]
     return shape * np.outer(width, width)
 
 
