@@ -8,10 +8,17 @@ from pathlib import Path
 
 from inclined_landing.envs.ids import SHIPPED
 from inclined_landing.envs.policy import Policy, load_policy
+from inclined_landing.envs.shared.pool import in_fork
 from inclined_landing.envs.shared.progress import stages
 from inclined_landing.envs.shared.tables import say
 from inclined_landing.envs.tasks import Task
 from inclined_landing.envs.tasks.landing import LandingConditions
+from inclined_landing.eval.base.options import FITTED, Look
+from inclined_landing.eval.pictures.film import film
+from inclined_landing.eval.pictures.flights import fly_from
+from inclined_landing.eval.pictures.frames import renderer_for, strobe, write_picture, write_videos
+from inclined_landing.eval.pictures.starts import usual_starts
+from inclined_landing.eval.pictures.to_rest import to_rest
 from inclined_landing.eval.study import groups, motor_cut, moving
 from inclined_landing.eval.study.engine import Study, run
 from inclined_landing.eval.study.options import NOMINAL
@@ -21,6 +28,8 @@ from inclined_landing.models.base import storage
 from inclined_landing.models.parameters import load_vehicle
 
 Stages = Sequence[tuple[str, LandingConditions]]  # titles and conditions
+_LOOK = Look(camera=FITTED, width=960, height=540)  # of video and picture
+_FPS = 25.0  # half as many as `landing-eval video` shows
 _LANDING_SCALES = (1.0, 1.05, 0.95)  # of the thrust, in the table of a landing policy
 
 
@@ -38,13 +47,14 @@ def report(folder: Path, metrics: dict, vehicle: Path | None, curriculum: Stages
         return load_policy(policy, vehicle=None if vehicle is None else load_vehicle(vehicle))
 
     final = load(folder / "final.zip")
-    with ThreadPoolExecutor(1) as pool:  # of the table, whose time is the engine's
-        pictures = pool.submit(_draw, folder, final, curriculum)
+    filmed = in_fork(_film, final, folder)
+    with ThreadPoolExecutor(1) as pool:  # beside the table, whose time is the engine's
+        figures = pool.submit(_draw, folder, final, curriculum)
         name, study = _study(final, metrics, load)
         results = run([study])
         with stages() as tick:
             tick("figures, picture and film")
-            files = pictures.result()
+            files = figures.result() + filmed()
     for path in files:
         print(path)
     storage.write_json(folder / f"{name}.json", document(name, results))
@@ -55,10 +65,21 @@ def report(folder: Path, metrics: dict, vehicle: Path | None, curriculum: Stages
 
 
 def _draw(folder: Path, policy: Policy, stages: Stages) -> list[Path]:
-    """Return the files of the pictures; matplotlib is imported while the first flights are simulated."""
+    """Return the files of the figures; matplotlib is imported while the first flights are simulated."""
     from inclined_landing.eval.pictures.training import draw
 
     return draw(folder, policy, stages)
+
+
+def _film(policy: Policy, folder: Path) -> list[Path]:
+    """Write video and picture of the flight from the first of the usual starts, and return their files."""
+    files = [folder / f"{policy.task.name}.mp4", folder / "picture.png"]
+    flight = to_rest(fly_from(policy, usual_starts(policy.task)[:1], "mujoco")[0])
+    with renderer_for([flight], _LOOK) as renderer:
+        frames, _, rate = film([flight], renderer, _FPS, 1.0)
+        write_videos({files[0]: 1}, frames, fps=rate)
+        write_picture(files[1], strobe(flight, renderer))
+    return files
 
 
 def _study(final: Policy, metrics: dict, load: Callable[[str | Path], Policy]) -> tuple[str, Study]:

@@ -1,9 +1,10 @@
-"""Parallel calls, in threads of this process or as tasks of a Ray cluster."""
+"""Parallel calls, in threads of this process, in a fork of it, or as tasks of a Ray cluster."""
 
 from __future__ import annotations
 
 import contextlib
 import logging
+import multiprocessing
 import os
 import signal
 import socket
@@ -66,6 +67,38 @@ def completed(
                 yield pending.pop(future), future.result()
         finally:  # without waiting for what is under way
             pool.shutdown(wait=False, cancel_futures=True)
+
+
+def in_fork(function: Callable[..., Item], *arguments: Any) -> Callable[[], Item]:
+    """Begin a call in a forked process, and return a function that waits for its result.
+
+    For work in Python, which takes turns with other threads of its process. Only what the call returns or
+    raises has to be picklable. The process ends with this one.
+    """
+    fork = multiprocessing.get_context("fork")
+    here, there = fork.Pipe(duplex=False)
+
+    def answer() -> None:
+        try:
+            there.send((function(*arguments), None))
+        except BaseException as error:
+            there.send((None, error))
+
+    process = fork.Process(target=answer, daemon=True)
+    process.start()
+    there.close()
+
+    def result() -> Item:
+        try:
+            found, error = here.recv()
+        except EOFError:
+            found, error = None, UserError("a process of this command was killed; is memory short?")
+        process.join()
+        if error is not None:
+            raise error
+        return found
+
+    return result
 
 
 def _prepare(address: str | None) -> None:

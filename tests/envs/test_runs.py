@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 
 from inclined_landing.envs.shared import runs
+from inclined_landing.envs.shared.pool import in_fork
 from inclined_landing.eval import cli
 from inclined_landing.models.base import storage
 from inclined_landing.models.base.errors import UserError
@@ -136,3 +137,11 @@ def test_an_empty_folder_that_is_there_gets_the_files_and_stays(tmp_path, monkey
         pass
     with pytest.raises(UserError, match="leads through a folder that does not exist"):
         runs.check_new_run("new/..")
+
+
+def test_a_call_in_a_fork_returns_raises_or_is_missed():
+    assert in_fork(divmod, 7, 2)() == (3, 1)
+    with pytest.raises(ZeroDivisionError):
+        in_fork(divmod, 7, 0)()
+    with pytest.raises(UserError, match="was killed"):
+        in_fork(os._exit, 1)()
