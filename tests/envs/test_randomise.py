@@ -112,10 +112,21 @@ def test_a_pool_fills_its_ranges(tmp_path):
 
 def test_a_pool_may_be_denser_towards_the_ends(tmp_path):
     """Arcsine distribution: 2/pi asin(sqrt(u)) of the numbers lie below u of the range, to a hundredth."""
-    pool = written(tmp_path).draw(V, 0, 100, to_the_ends=True)
+    pool = written(tmp_path).draw(V, 0, 100, in_plane=True)
     mass = np.array([v.body_mass for v in pool])
     for u in (0.05, 0.1, 0.3, 0.5, 0.9):
         assert abs((mass < 0.03 + 0.01 * u).mean() - 2.0 / np.pi * np.arcsin(np.sqrt(u))) <= 0.01
+
+
+def test_some_vehicles_of_a_pool_have_one_effect(tmp_path):
+    """In the plane the share `alone`, each effect equally often, within its range; the others as before."""
+    usual = written(tmp_path).draw(V, 0, 100, in_plane=True)
+    ranges = written(tmp_path, "alone = 0.3\n" + FILE)
+    pool = ranges.draw(V, 0, 100, in_plane=True)
+    assert pool[30:] == usual[30:] and ranges.draw(V, 0, 100) == written(tmp_path).draw(V, 0, 100)
+    fields = "thrust_state_gain", "effects_attitude_delay", "platform_inclination"
+    changed = np.array([[getattr(v, name) != getattr(V, name) for name in fields] for v in pool[:30]])
+    assert changed.sum(axis=0).tolist() == [10, 10, 10] and (changed.sum(axis=1) == 1).all()
 
 
 def test_deviations_alone(tmp_path):
