@@ -21,8 +21,9 @@ A file of ranges is TOML. Every range is [lowest, highest]; equal ends fix the n
 Entries are set first and effects applied on top, in their order. Every number of a pool is distributed over
 its range independently of the others, either uniformly or, for policies trained in the plane, more densely
 towards its ends. `alone` applies to these policies only: vehicles with one effect are easier to land than
-those with many, so they are landed first. Entries that all vehicles of a plant share cannot have a range: commands, arena, and the platform except for its surface_height (the effects
-platform_height and platform_tilt move it).
+those with many, so they are landed first. Entries that all vehicles of a plant share cannot have a range:
+commands, arena, and the platform except for its surface_height (the effects platform_height and platform_tilt
+move it).
 
 Mass, inertia, arms, thrust and loops of real vehicles are correlated, and independent ranges would include
 impossible vehicles. Instead, a file may therefore list vehicles, as files or shipped names, between which
