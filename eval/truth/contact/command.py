@@ -10,7 +10,7 @@ from inclined_landing.eval.base.options import RunFolder, VehicleFile
 def command(*, out: RunFolder, vehicle: VehicleFile = None) -> int:
     """Check contact against mechanics: rest, slip, drops, energy ...; writes a page of claims.
 
-    Takes about 20 s on two cores. The exit code is 1 if a claim does not hold.
+    Takes about 10 s on two cores. The exit code is 1 if a claim does not hold.
 
     Args:
         out: new folder for contact.html, contact.json and the figures.
