@@ -83,8 +83,8 @@ class Section:
 
     key: str
     title: str
-    text: list[str] | str
-    claims: list[Claim]
+    text: list[str] | str = ""
+    claims: list[Claim] = dataclasses.field(default_factory=list)
     tables: list[Table] = dataclasses.field(default_factory=list)
     figures: dict[str, str] = dataclasses.field(default_factory=dict)
     remarks: list[str] = dataclasses.field(default_factory=list)

@@ -112,18 +112,13 @@ def page(found: Identification, *, heldout: Sequence[str], versions: dict, notes
         "at 100 % the flights do not excite it at all. Flights of the last column would identify it better."
     )
     heads = ("effect", "standard error", "confounded with", "excited by")
+    fits, shown = Table("", ("", "nominal", "identified"), fit), Table("", heads, identifiable_rows(found))
     sections = [
-        Section("fit", "Fit on held-out flights", text, [], [Table("", ("", "nominal", "identified"), fit)]),
-        Section("differ", "Constants that differ", "", [], [_table(changed_parameters(found))]),
+        Section("fit", "Fit on held-out flights", text, tables=[fits]),
+        Section("differ", "Constants that differ", tables=[_table(changed_parameters(found))]),
         *limits(found, notes, heldout),
-        Section("constants", "All constants", "", [], [_table(found.parameters)]),
-        Section(
-            "identifiable",
-            "What these flights identify",
-            identifiable,
-            [],
-            [Table("", heads, identifiable_rows(found))],
-        ),
+        Section("constants", "All constants", tables=[_table(found.parameters)]),
+        Section("identifiable", "What these flights identify", identifiable, tables=[shown]),
     ]
     return fill_in(sections, found, "identify", headline(found), " ".join(sentences(found)), versions)
 

@@ -61,28 +61,16 @@ def page(
 
     track: the flight that its figure shows; images: those of `figures`; notes: sentences on the logs.
     """
-    figures = dict.fromkeys(images, caption(track))
-    heldout = [name for name in d.heldout if name not in d.flights]
+    change = Section("change", "What to change", words.causes(d), tables=[effect_table(d)])
+    change.figures = dict.fromkeys(images, caption(track))
+    change.remarks = [_USE] if d.effects else []
+    each = "Each is the sum over all sets of effects with it."
     probabilities = Table("", ("effect", "probability"), probability_rows(d))
     sections = [
-        Section(
-            "change",
-            "What to change",
-            words.causes(d),
-            claims=[],
-            tables=[effect_table(d)],
-            figures=figures,
-            remarks=[_USE] if d.effects else [],
-        ),
-        Section("error", "Remaining error", "", claims=[], tables=_error_tables(d)),
-        *limits(d, notes, heldout),
-        Section(
-            "probabilities",
-            "Probabilities",
-            "Each is the sum over all sets of effects with it.",
-            claims=[],
-            tables=[probabilities],
-        ),
+        change,
+        Section("error", "Remaining error", tables=_error_tables(d)),
+        *limits(d, notes, [name for name in d.heldout if name not in d.flights]),
+        Section("probabilities", "Probabilities", each, tables=[probabilities]),
     ]
     return fill_in(sections, d, "gap", words.headline(d), words.how_much(d), versions, images)
 
@@ -165,8 +153,8 @@ def limits(
     """Return the sections on what limits an answer, and on its flights."""
     evaluated = f"Held out: {', '.join(heldout)}." if heldout else "Each is evaluated by a fit to the others."
     return (
-        Section("limits", "Limits", words.notes(found.notes, notes), claims=[]),
-        Section("flights", "Flights", f"Fitted: {', '.join(found.flights)}. {evaluated}", claims=[]),
+        Section("limits", "Limits", words.notes(found.notes, notes)),
+        Section("flights", "Flights", f"Fitted: {', '.join(found.flights)}. {evaluated}"),
     )
 
 
