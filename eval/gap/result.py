@@ -171,14 +171,19 @@ class ResidualAnalysis:
         return surely and one.displacement**2 >= thresholds.MATERIAL * self.error**2
 
     @property
+    def material_functions(self) -> list[Dependence]:
+        """Return the significant functions that are material."""
+        return [one for one in self.depends_on if self.material(one)]
+
+    @property
     def unexplained(self) -> bool:
         """Return whether a material function of the residual is significant."""
-        return any(map(self.material, self.depends_on))
+        return bool(self.material_functions)
 
     @property
     def repeating(self) -> float:
         """Return the displacement [m] within a second by the largest material function; 0 for none."""
-        return max((d.displacement for d in self.depends_on if self.material(d)), default=0.0)
+        return max((one.displacement for one in self.material_functions), default=0.0)
 
 
 @dataclasses.dataclass(frozen=True)

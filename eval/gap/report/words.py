@@ -239,8 +239,7 @@ def how_much(d: Diagnosis) -> str:
         ratio, ends = d.thrust_over_weight
         times = f"{rounded(ratio, ends, '1')} times the modelled one ({interval(ends, '1')})"
         lines.append(f"With the named effects, thrust over weight is {times} at the flights' usual command.")
-    material = [one for one in d.residual.depends_on if d.residual.material(one)]
-    if material:
+    if material := d.residual.material_functions:
         most = max(material, key=lambda one: one.displacement)
         repeats = f"Of the remaining error, {centimetres(most.displacement)} repeats from flight to flight"
         lines.append(f"{repeats}: {axis(most)}, depending on {most.against}.")
@@ -275,14 +274,18 @@ def answers(d: Diagnosis) -> list[Answer]:
         cost = centimetres(e.cost) if math.isfinite(e.cost) else ""
         notes = tuple(t for t in (product_sentence(e), confounding_sentence(d, e), e.doubt) if t)
         found.append(Answer(title(e), how_sure(e), size_rows(e), cost, remedy(e), sentence(e), notes))
-    for one in d.residual.depends_on:
-        if d.residual.material(one):
-            size, ends = quantity(one.displacement, "m"), interval(one.displacement_ci95, "m")
-            moved = ("displacement in 1 s", size, ends)
-            name, how = f"unknown, {axis(one)}: depends on {one.on}", "repeats on held-out flights"
-            cost, then = centimetres(one.displacement), f"More flights that vary {one.on} would show it."
-            says = f"An error {axis(one)} depends on {one.on}."
-            found.append(Answer(name, how, (moved,), cost, then, says))
+    for one in d.residual.material_functions:
+        size, ends = quantity(one.displacement, "m"), interval(one.displacement_ci95, "m")
+        found.append(
+            Answer(
+                title=f"unknown, {axis(one)}: depends on {one.on}",
+                how="repeats on held-out flights",
+                sizes=(("displacement in 1 s", size, ends),),
+                cost=centimetres(one.displacement),
+                remedy=f"More flights that vary {one.on} would show it.",
+                says=f"An error {axis(one)} depends on {one.on}.",
+            )
+        )
     return found
 
 
