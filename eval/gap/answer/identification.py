@@ -481,7 +481,7 @@ def _errors_of_the_vehicle(
     model = np.array([isinstance(c, BaseColumn) for c in columns])
     # Conditioned on x_E = 0 (Bishop 2.81):  x_B = m_B - C_BE C_EE^-1 m_E
     inner = covariance[np.ix_(~model, ~model)] + 1e-9 * np.eye(np.count_nonzero(~model))
-    without = np.where(model, at - covariance[:, ~model] @ np.linalg.solve(inner, at[~model]), 0.0)
+    model_alone = np.where(model, at - covariance[:, ~model] @ np.linalg.solve(inner, at[~model]), 0.0)
     whole, _ = truncated_mode(at, covariance, np.arange(len(at)), local.bounds)
 
     def less_probable(x: np.ndarray) -> float:
@@ -489,7 +489,7 @@ def _errors_of_the_vehicle(
         values = {**problem.values_at(names, columns, x * unit), BASE: weights}
         return deviance(LinearGaussian.of(problem, spread, problem.linearise(values, columns)), names)
 
-    return covariance * np.outer(unit, unit), min(whole, without, key=less_probable) * unit
+    return covariance * np.outer(unit, unit), min(whole, model_alone, key=less_probable) * unit
 
 
 def identifiability(around: Problem, reference: VehiclePosterior) -> tuple[Identifiable, ...]:

@@ -40,25 +40,22 @@ def estimates(found: SetPosterior, values: Values) -> dict[str, dict[str, Estima
     result: dict[str, dict[str, Estimate]] = {name: {} for name in values}
     for name in values:
         for p in problem.library[name].parameters:
-            value, (low, high) = values[name][p.name], p.bounds
-            known = sized.get((name, p.name))
-            if known is None:  # a reference: another one and another size do the same
-                nan = (math.nan,) * len(problem.flights)
-                result[name][p.name] = Estimate(
-                    value, p.unit, p.possible, p.neutral, p.bounds, False, nan, 0.0
-                )
-                continue
-            half = half_width(problem, known.error)
-            below, above = _extrapolated(value - p.neutral, half, fitting(name).extrapolated)
+            value, known = values[name][p.name], sized.get((name, p.name))
+            ends, per_flight, spread = p.possible, (math.nan,) * len(problem.flights), 0.0
+            if known is not None:  # else a reference: another one and another size do the same
+                half = half_width(problem, known.error)
+                below, above = _extrapolated(value - p.neutral, half, fitting(name).extrapolated)
+                ends = max(p.bounds[0], p.neutral + below), min(p.bounds[1], p.neutral + above)
+                per_flight, spread = tuple(map(float, value + known.deviation)), known.between
             result[name][p.name] = Estimate(
                 value=value,
                 unit=p.unit,
-                ci95=(max(low, p.neutral + below), min(high, p.neutral + above)),
+                ci95=ends,
                 neutral=p.neutral,
                 bounds=p.bounds,
-                at_bound=thresholds.at_bound(value, p.bounds),
-                per_flight=tuple(map(float, value + known.deviation)),
-                spread=known.between,
+                at_bound=known is not None and thresholds.at_bound(value, p.bounds),
+                per_flight=per_flight,
+                spread=spread,
             )
     return result
 
