@@ -10,7 +10,7 @@ A vehicle is out of reach in a time step, or in a period that is flown at once, 
 shapes is farther from every surface than its centre can move in it, by `_MARGIN`; slab and base count with
 the keep-out zone. The engine sees contacts at the beginning of a time step and at the three other stages of
 RK4, whose positions are within one step of the speeds of that step: the speeds at its two ends, plus their
-difference for what the acceleration does between. Over a moving platform all of this is seen along with it,
+difference for what the acceleration does between. A moving platform, unlike the floor, is seen along with it,
 at the velocity that its centre has at the period's beginning, and it is taken nearer by what any of its
 points can stray from there since: at a speed that its motion never exceeds (`platforms.MOST`), or, where that
 is too near, at one that it does not exceed in this period (`strays`). Where even then the sphere is too near,
@@ -243,11 +243,12 @@ def _fly(ids, first, last, numbers, period, vehicles, platforms, engine, results
         if not present:
             poses[0, Z] = geometry.PARKED
         approach, known = 0.0, True  # m that the slab strays nearer in a time step; is it the least
-        px, py, pz, drift = 0.0, 0.0, 0.0, 0.0  # velocity of the platform, its size [m/s]
+        px, py, pz = 0.0, 0.0, 0.0  # velocity of the platform [m/s]
         if moving and present:
             px, py, pz = platform[i, VX], platform[i, VY], platform[i, VZ]
-            drift, approach = _size(px, py, pz), dt * motions.courses[i, MOST]
+            approach = dt * motions.courses[i, MOST]
             known = approach == 0.0
+        over = px, py, pz
         ambient[forces.TIME], ambient[forces.VOLTAGE] = time, math.nan
         ambient[forces.INCLINATION], ambient[forces.PRESENT] = platform[i, PITCH], present
         ambient[forces.AZIMUTH] = platform[i, YAW]
@@ -261,21 +262,20 @@ def _fly(ids, first, last, numbers, period, vehicles, platforms, engine, results
         if out_of_reach and solvable and (constant or _is_held(period.commands, i)):
             # All of the period at once, where there is room for that.
             _take_command(u, period.commands, step, i, vehicles.command_range)
-            here, height = (y[X], y[Y], y[Z]), y[Z] - length * drift
-            wx, wy, wz = y[VX] - px, y[VY] - py, y[VZ] - pz
-            before, exact = length * _size(wx, wy, wz), False
+            here, velocity = (y[X], y[Y], y[Z]), (y[VX], y[VY], y[VZ])
+            before, exact, strayed = _sizes(velocity, over, length), False, substeps * approach
             # Few are so near that the distance itself is needed.
             distance = geometry.least_distance(here[0], here[1], here[2], poses[0], platforms.reach)
-            spare = _spare((distance - vehicles.keep_out, height, radius), substeps - 1, approach)
-            if not spare > before:
+            clear = distance - vehicles.keep_out, here[2], radius
+            if not _has_room(clear, strayed, before):
                 distance, exact = _distance(here, i, platforms, poses, flown, at, vehicles.fleet), True
-                spare = _spare((distance - vehicles.keep_out, height, radius), substeps - 1, approach)
-            if spare > before and held.fly(s, v, length, _LARGEST_ANGLE, _TURN / dt):
-                moved = _moved(wx, wy, wz, y[VX] - px, y[VY] - py, y[VZ] - pz, length)
-                if not (exact or spare > moved):
+                clear = distance - vehicles.keep_out, here[2], radius
+            if _has_room(clear, strayed, before) and held.fly(s, v, length, _LARGEST_ANGLE, _TURN / dt):
+                moved = _moved(velocity, y, over, length)
+                if not (exact or _has_room(clear, strayed, moved)):
                     distance = _distance(here, i, platforms, poses, flown, at, vehicles.fleet)
-                    spare = _spare((distance - vehicles.keep_out, height, radius), substeps - 1, approach)
-                if spare > moved:
+                    clear = distance - vehicles.keep_out, here[2], radius
+                if _has_room(clear, strayed, moved):
                     step = substeps
                 else:
                     equations.pack_state(state, i, y)
@@ -284,21 +284,21 @@ def _fly(ids, first, last, numbers, period, vehicles, platforms, engine, results
             if step == 0 or not constant:
                 _take_command(u, period.commands, step, i, vehicles.command_range)
             # Distance to spare > dt |w| before the step, and > dt (max(|w|, |w'|) + |w' - w|) after it, w the
-            # velocity relative to the platform's centre.
-            t = step * dt
+            # velocity relative to the platform's centre, or to the floor.
+            t, velocity, height = step * dt, (y[VX], y[VY], y[VZ]), y[Z]
             here = y[X] - t * px, y[Y] - t * py, y[Z] - t * pz
-            height = y[Z] - dt * drift
-            wx, wy, wz = y[VX] - px, y[VY] - py, y[VZ] - pz
-            before = dt * _size(wx, wy, wz)
+            before, strayed = _sizes(velocity, over, dt), (step + 1) * approach
+            doubtful = 1.5 * before[0], 1.5 * before[1]
             distance = geometry.least_distance(here[0], here[1], here[2], poses[0], platforms.reach)
             clear, exact = (distance - vehicles.keep_out, height, radius), False
-            if not _spare(clear, step, approach) > 1.5 * before:
+            if not _has_room(clear, strayed, doubtful):
                 distance, exact = _distance(here, i, platforms, poses, flown, at, vehicles.fleet), True
                 clear = distance - vehicles.keep_out, height, radius
-            if not known and _spare(clear, step, approach) <= before:
+            if not (known or _has_room(clear, strayed, before)):
                 approach, known = dt * strays(i, time, present, motions, rates), True
+                strayed = (step + 1) * approach
             rate = y[equations.RATES], y[equations.RATES + 1], y[equations.RATES + 2]
-            flat = moving and not _spare(clear, step, approach) > 1.5 * before
+            flat = moving and not _has_room(clear, strayed, doubtful)
             if flat:  # how flat the vehicle is counts, and then how it turns
                 (sr, cr), (sp, cp), (sy, cy) = (
                     sine_cosine(y[ROLL]),
@@ -308,20 +308,22 @@ def _fly(ids, first, last, numbers, period, vehicles, platforms, engine, results
                 axis = cy * sp + sy * sr * cp, sy * sp - cy * sr * cp, cr * cp
                 distance = _hull_distance(here, axis, i, platforms, poses, vehicles, lowered)
                 below = geometry.reach_against(axis[2], vehicles.fleet.hulls[vehicles.size[i]], lowered)
-                clear = distance - vehicles.keep_out, y[Z] - dt * drift - below, 0.0
-            if not (_spare(clear, step, approach) > before and _as_exact(y, dt)):
+                clear = distance - vehicles.keep_out, height - below, 0.0
+            if not (_has_room(clear, strayed, before) and _as_exact(y, dt)):
                 break
             if not (solvable and held.fly(s, v, dt, _LARGEST_ANGLE, _TURN / dt)):
                 equations.rk4(s, v, dt)
-            moved = _moved(wx, wy, wz, y[VX] - px, y[VY] - py, y[VZ] - pz, dt)
+            moved = _moved(velocity, y, over, dt)
             if flat:
-                moved += radius * _turned(rate, y, dt)
-            if not (exact or _spare(clear, step, approach) > moved):
+                turned = radius * _turned(rate, y, dt)
+                moved = moved[0] + turned, moved[1] + turned
+            if not (exact or _has_room(clear, strayed, moved)):
                 distance = _distance(here, i, platforms, poses, flown, at, vehicles.fleet)
                 clear = distance - vehicles.keep_out, height, radius
-            if not known and _spare(clear, step, approach) <= moved:
+            if not (known or _has_room(clear, strayed, moved)):
                 approach, known = dt * strays(i, time, present, motions, rates), True
-            if not _spare(clear, step, approach) > moved:
+                strayed = (step + 1) * approach
+            if not _has_room(clear, strayed, moved):
                 break
             step += 1
         if step < substeps or not _as_exact(y, dt):
@@ -362,9 +364,18 @@ def _size(x, y, z):
 
 
 @inlined
-def _moved(wx, wy, wz, x, y, z, dt):
-    """Return a bound [m] of the motion in `dt` [s], from the velocities before and (x, y, z) after."""
-    return dt * (max(_size(wx, wy, wz), _size(x, y, z)) + _size(x - wx, y - wy, z - wz))
+def _sizes(velocity, over, dt):
+    """Return the way [m] of a velocity in `dt` [s] relative to the platform's, `over`, and to the floor."""
+    x, y, z = velocity
+    return dt * _size(x - over[0], y - over[1], z - over[2]), dt * _size(x, y, z)
+
+
+@inlined
+def _moved(velocity, y, over, dt):
+    """Return bounds [m] of the motions of `_sizes`, from the velocity before and that of y after."""
+    before, after = _sizes(velocity, over, 1.0), _sizes((y[VX], y[VY], y[VZ]), over, 1.0)
+    change = _size(y[VX] - velocity[0], y[VY] - velocity[1], y[VZ] - velocity[2])
+    return dt * (max(before[0], after[0]) + change), dt * (max(before[1], after[1]) + change)
 
 
 @inlined
@@ -405,10 +416,14 @@ def _distance(here, i, platforms, poses, row, at, fleet):
 
 
 @inlined
-def _spare(clear, step, approach):
-    """Return the distance [m] that a vehicle still has in a time step; see the module's docstring."""
+def _has_room(clear, strayed, moved):
+    """Return whether a vehicle stays clear of platform and floor in a time; see the module's docstring.
+
+    clear: its distances [m] to platform and floor, its radius; strayed: by how much the platform comes nearer
+    [m]; moved: by how much the vehicle comes nearer to platform and floor, from `_sizes` or `_moved`.
+    """
     platform, floor, radius = clear
-    return min(platform - (step + 1) * approach, floor) - radius - _MARGIN
+    return platform - strayed - radius - _MARGIN > moved[0] and floor - radius - _MARGIN > moved[1]
 
 
 @inlined

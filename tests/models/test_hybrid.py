@@ -11,6 +11,7 @@ from inclined_landing.envs.tasks import frozen as starts
 from inclined_landing.envs.tasks import hover_states
 from inclined_landing.eval.truth.equivalence.flying import fly, full_steps, largest_gaps
 from inclined_landing.eval.truth.equivalence.levels import FLIGHT_LIMITS
+from inclined_landing.models import geometry
 from inclined_landing.models.attitude import LAG, PITCH, PWM, ROLL, VX, VZ, WX, WZ, YAW, X, Z
 from inclined_landing.models.effects import LIBRARY
 from inclined_landing.models.motion import Motion
@@ -237,6 +238,18 @@ def test_attitudes_beyond_the_equations_are_the_engines():
     plant.reset(np.arange(4), states)
     plant.step(np.tile([V.hover_pwm, 0, 0, 0], (4, 1)))
     assert plant.in_engine.tolist() == [True, True, True, False]
+
+
+def test_a_fast_platform_brings_no_vehicle_nearer_to_the_floor():
+    """Just out of reach of the floor, far from the platform: hovering, and sinking 20 mm in the period."""
+    plant = HybridPlant(2, moving=True)
+    states, below = np.zeros((2, 13)), geometry.reach_against(1.0, plant.fleet.hulls[0], 0.0)
+    states[:, [X, Z]], states[:, LAG] = (5.0, below + 5e-3), V.hover_lag
+    states[1, VZ] = -1.0
+    plant.set_motion(np.arange(2), Motion(np.tile([0.0, 2.0, 0.0], (2, 1)), *np.zeros((3, 2, 6, 1))))
+    plant.reset(np.arange(2), states)
+    plant.step(np.tile([V.hover_pwm, 0, 0, 0], (2, 1)))
+    assert plant.in_engine.tolist() == [False, True]
 
 
 def test_only_the_given_vehicles_fly():
