@@ -17,7 +17,7 @@ from tests.validation.simulator import (
     fly,
     ordinary,
 )
-from tests.validation.simulator.vehicle import CONTROL_RATE, record
+from tests.validation.simulator.vehicle import record
 
 C = constants()
 SILENT = {"gyro_noise": 0.0, "position_noise": 0.0, "attitude_noise": 0.0, "voltage_noise": 0.0}
@@ -187,7 +187,7 @@ def test_members_of_a_family_fly_and_obey(family):
         reality = draw(family, rng)
         log = fly(ordinary("waypoints", rng, 6.0), World(), rng, reality)
         assert np.isfinite(log.truth).all() and np.diff(log.t).min() > 0
-        assert len(log.t) == pytest.approx(6.0 * CONTROL_RATE / reality.build.log_ticks, abs=1)
+        assert len(log.t) == pytest.approx(6.0 * reality.log_rate, abs=1)
         assert np.abs(log.truth[:, 9:11]).max() < 6.0 and log.truth[:, 2].min() > 0.1
         still = Reality(
             reality.constants._replace(**SILENT),

@@ -32,6 +32,11 @@ class Reality:
     build: Build = dataclasses.field(default_factory=Build)
     family: str = "reference"
 
+    @property
+    def log_rate(self) -> float:
+        """Rows of the log per second."""
+        return CONTROL_RATE / self.build.log_ticks
+
 
 def reference() -> Reality:
     """The vehicle that flies as the paper's equations say, in still air."""
