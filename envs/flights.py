@@ -110,7 +110,7 @@ def record_flights(
         contact_limit: end a flight, without success, after this many control steps in contact with a
             surface (default: never).
         lain: a vehicle that has lain still for this many control steps stays where it is for the rest of its
-            flight, because a policy without memory sees no change (default: it is simulated).
+            flight: more than the policy's history, so that it sees no change (default: it is simulated).
 
     Raises:
         UserError: when the number of states is not the plant's.

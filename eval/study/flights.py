@@ -44,7 +44,7 @@ ARRIVAL = (
 _NUMBERS = [m.name for m in ARRIVAL if m.unit != "1"]
 _FLAGS = [m.name for m in ARRIVAL if m.unit == "1"]
 _AT_ONCE = 1024  # flights; their records take some 80 MB
-_LAIN = 25  # control steps without motion on a surface, after which the policy does what it has done in them
+_LAIN = 25  # control steps of lying still, beyond its history, after which a policy repeats itself
 
 
 def named_policies(texts: Sequence[str]) -> dict[str, str]:
@@ -131,7 +131,8 @@ def _fly_batch(
     rates = np.array([vehicle.thrust_lag_rate for vehicle in vehicles])[variant]
     starts.state[:, LAG] *= task.vehicle.thrust_lag_rate / rates
     flown = fleet.begin(make_plant(plant, len(starts), task.vehicle, pool=pool))
-    flights = record_flights(policy, flown, starts, steps=task.judged_steps, informed=False, lain=_LAIN)
+    lain = _LAIN + task.history
+    flights = record_flights(policy, flown, starts, steps=task.judged_steps, informed=False, lain=lain)
     table = table_of(task, flights)
     if task.cut_at_success and cut_from < n:
         table = table.join(_arrivals(flights, table["success"].to_numpy() & (start >= cut_from), fleet))
