@@ -37,48 +37,43 @@ def command(
     from inclined_landing.eval.gap.result import REFERENCE
     from inclined_landing.models.parameters import load_vehicle
 
-    nominal = load_vehicle(source.vehicle)
+    given = load_vehicle(source.vehicle)
     began = time.monotonic()
-    with stages(source.count + len(reference) + 4) as tick:
-        flights = read_flights(source.files, source.heldout, reference, tick=tick, **source.options())
+    with stages(source.count + len(reference) + 4) as tick:  # every log, and the four ticks below
+        reading = source.options()  # of `read_log`: mapping, units and which rows
+        flights = read_flights(source.files, source.heldout, reference, tick=tick, **reading)
         notes, identification = [*flights.notes], None
         tick("identifying the reference vehicle" if flights.reference else "reading the vehicle file")
         if flights.reference:
-            identification = identify(flights.reference, nominal, platform=source.platform)
-            nominal, known = files.as_written(identification), identification.reference
+            identification = identify(flights.reference, given, platform=source.platform)
+            vehicle, known = files.as_written(identification), identification.reference
             notes += identification.notes
             if identification.worse:
                 notes.append(identified.headline(identification))
         else:
-            known, ignored = read_reference(source.vehicle, nominal)
+            vehicle, (known, ignored) = given, read_reference(source.vehicle, given)
             notes += [ignored] if ignored else []
         tick("searching for missing effects")
         d = diagnose(
             flights.logs,
-            nominal,
+            vehicle,
             reference=known,
             heldout=flights.heldout,
             platform=source.platform or None,
             plants=("analytic", "mujoco"),
         )
         tick("drawing figures")
-        versions, track = runs.versions(), page.shown_flight(d, nominal, flights)
+        versions, track = runs.versions(), page.shown_flight(d, vehicle, flights)
         images = page.figures(d, track)
         html = page.page(d, track, images, versions=versions, notes=notes)
         tick("writing files")
     written: Path | None = None
-    try:  # a full disk costs the files, not the answer
+    try:
         with runs.staged_run(out) as folder:
-            kept = folder / REFERENCE
-            if identification or source.vehicle:
-                kept.parent.mkdir()
-            if identification:
-                files.write_identified(identification, kept.parent, base=source.vehicle)
-            elif source.vehicle:
-                files.keep_vehicle(source.vehicle, kept)
-            files.write_corrected(d, nominal, folder, base=kept if identification else source.vehicle)
+            base = files.write_reference(folder / REFERENCE, identification, source.vehicle)
+            files.write_corrected(d, vehicle, folder, base=base)
             answer = d.to_json() | {"summary": words.how_much(d)}
             page.write_report(folder, "gap", html, answer, source, began, versions, images)
         written = out
-    finally:
+    finally:  # after any error too: a full disk costs the files, not the answer
         page.show(d, notes, written)

@@ -20,7 +20,7 @@ from inclined_landing.eval.gap.infer.residual import analyse_residual
 from inclined_landing.eval.gap.infer.sets import SetPosterior, equivalence_class, search
 from inclined_landing.eval.gap.measured.usable import check_unused, usable_flights
 from inclined_landing.eval.gap.measured.windows import MeasuredFlight
-from inclined_landing.eval.gap.model.columns import Candidates, FittedValues, Values
+from inclined_landing.eval.gap.model.columns import Candidates, Values
 from inclined_landing.eval.gap.model.problem import Problem, identifiable_effects
 from inclined_landing.eval.gap.model.reference import VehiclePosterior
 from inclined_landing.eval.gap.result import Diagnosis, NamedEffect, ScoredSet, cost_beyond_doubt
@@ -47,7 +47,8 @@ def diagnose(
 ) -> Diagnosis:
     """Return the missing effects that explain `flights` best, and the errors with and without them.
 
-    reference: posterior of the identified vehicle; None: its constants are exact, its formulas nearly.
+    reference: posterior of the vehicle's constants, from flights (`identify`) or from its file
+    (`read_reference`); None: they are exact, its formulas nearly.
     heldout: flights for evaluation only; without them every flight is evaluated with the effects fitted to
     the others (leave-one-out). platform: the slab of the vehicle file stands in the arena (None: where a log
     has contacts). plants: measure the gap in these.
@@ -57,27 +58,30 @@ def diagnose(
     vehicle = as_vehicle(vehicle)
 
     # Which flights can be used, and which effects can they show?
-    use = usable_flights(flights, heldout, vehicle, platform)
+    usable = usable_flights(flights, heldout, vehicle, platform)
     if reference is not None:
-        check_unused(use.heldout, reference.flights, "by which the vehicle was identified")
-    candidates, unidentifiable = identifiable_effects(library, use.fitted)
+        check_unused(usable.heldout, reference.flights, "by which the vehicle was identified")
+    identifiable, unidentifiable = identifiable_effects(library, usable.fitted)
 
     # How probable is every set of effects?
-    found = probable_sets(use.fitted, vehicle, candidates, reference)
-    notes = [*use.notes, *_data_notes(found.problem), *unidentifiable]
-    if "wind" in candidates and "wind" not in found.problem.library:
+    use, candidates = usable, identifiable
+    searched = with_loops = probable_sets(use.fitted, vehicle, candidates, reference)
+    notes = [*use.notes, *_data_notes(with_loops.problem), *unidentifiable]
+    if "wind" in candidates and "wind" not in with_loops.problem.library:
         notes.append("the vehicle has almost no drag, so wind cannot be diagnosed")
-    if in_strong_wind(found):  # attitude loops and lags are not judged
-        use, notes = use.without_angle_commands(vehicle), [*notes, _IN_WIND]
-        candidates = {name: effect for name, effect in candidates.items() if not effect.is_lag}
-        found = probable_sets(use.fitted, vehicle, candidates, reference)
-    inconsistent = inconsistent_flights(found.problem, found.linear)
+    if in_strong_wind(with_loops):  # search again without attitude loops and lags, which cannot be judged
+        notes.append(_IN_WIND)
+        use = usable.without_angle_commands(vehicle)
+        candidates = {name: effect for name, effect in identifiable.items() if not effect.is_lag}
+        searched = probable_sets(use.fitted, vehicle, candidates, reference)
+    inconsistent = inconsistent_flights(searched.problem, searched.linear)
 
     # Which effects are named? Those that matter, of these those that predict flights left out, and of these
-    # those whose sizes differ from neutral.
-    relevant = selection.relevant_values(found)
-    useful = selection.useful_values(found, relevant)
-    found, values = selection.distinct_values(found, useful)  # linearised where these effects are
+    # those that have a firm size or show one second ahead. From here on the posterior is the one linearised
+    # where these effects are.
+    relevant = selection.relevant_values(searched)
+    useful = selection.useful_values(searched, relevant)
+    found, values = selection.distinct_values(searched, useful)
 
     # How wrong is the vehicle before and after its correction by them, and does anything else repeat?
     correction = selection.corrected(found, values)
@@ -132,18 +136,18 @@ def named_effects(
 
     ahead: what each does to the error one second ahead. least: the cost [m] above which none is in doubt.
     """
-    problem, pieces = found.problem, sizes.loop_pieces(found.problem, values)
-    library, gains = problem.library, selection.squared_error_shares(problem, values)
+    problem, library = found.problem, found.problem.library
+    gains = selection.squared_error_shares(problem, values)
     estimates, thrust = sizes.estimates(found, values), sizes.thrust_of_names(found, values)
     may_cancel = thrust is not None and thrust.ci95[0] <= 1.0 <= thrust.ci95[1]
+    # Several lags of the attitude loops have one name, that of the first, and one size.
+    lags = sizes.loop_pieces(problem, values)
     result: list[NamedEffect] = []
-    for name in (n for n in values if n not in pieces[1:]):
-        names, parameters, parts = [name], estimates[name], FittedValues()
-        if name in pieces:  # lags of the attitude loops have one name and one size
-            names, parameters = [*pieces], {"response": sizes.response(found, values, pieces)}
-            parts = {n: dict(values[n]) for n in pieces}
-        classes = ((n, *equivalence_class(found, n), *_predicting_as_well(found, values, n)) for n in names)
-        members = tuple(dict.fromkeys(m for of_one in classes for m in of_one))
+    for name in (n for n in values if n not in lags[1:]):
+        is_loop = name in lags
+        names = lags if is_loop else (name,)
+        parameters = {"response": sizes.response(found, values, lags)} if is_loop else estimates[name]
+        members = _members(found, values, names)
         too_small = least > 0.0 and not ahead[name].cost > least
         cancelled = may_cancel and name in sizes.WEIGHT
         doubt = _doubt(problem, name, ahead[name].along, too_small, cancelled)
@@ -155,14 +159,22 @@ def named_effects(
                 probability=found.probability(*members),
                 parameters=parameters,
                 gain=max(gains[n] for n in names),
-                remedy=library[LOOP if parts else name].remedy,
+                remedy=library[LOOP if is_loop else name].remedy,
                 cost=ahead[name].cost,
                 product=sizes.product(found, values, name) if library[name].product else None,
                 doubt=doubt,
-                parts=parts,
+                parts={n: dict(values[n]) for n in lags} if is_loop else {},
             )
         )
     return tuple(result)
+
+
+def _members(found: SetPosterior, values: Values, names: Sequence[str]) -> tuple[str, ...]:
+    """Return some named effects, and those that the flights do not distinguish from one of them."""
+    members: list[str] = []
+    for name in names:
+        members += [*equivalence_class(found, name), *_predicting_as_well(found, values, name)]
+    return tuple(dict.fromkeys(members))
 
 
 def _predicting_as_well(found: SetPosterior, values: Values, name: str) -> list[str]:

@@ -305,6 +305,7 @@ def cost_beyond_doubt(
         return math.inf if residual.unexplained else 0.0
     if reference and gap.after > thresholds.MUCH_LARGER * max(reference.error, gap.floor):
         return math.inf
+    # Both thresholds are shares of a squared error, so that their roots are shares of an error.
     if residual.repeating**2 <= thresholds.MOSTLY * gap.after**2:
         return 0.0
     if reference and gap.after <= reference.error <= math.sqrt(thresholds.MATERIAL) * gap.before:

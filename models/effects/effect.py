@@ -247,7 +247,8 @@ class Effect:
     # Whether `identify` fits it; else it stays as it is: a fault of one part, what ordinary flights hide.
     identified: bool = True
     # Where its size follows only with another constant known, flights show a product: the acceleration that
-    # it causes in hover. This is the part of a sentence on that product.
+    # it causes in hover. This says in two clauses, separated by "; ", what the product is and how its factors
+    # are distinguished.
     product: str = ""
     told_by: str = ""  # a sentence on how to measure it without a flight; "": by flights
 

@@ -200,9 +200,10 @@ class _Fit:
     values: FittedValues
     local: LinearGaussian
     vehicle: Vehicle  # with these, but those of the place
-    fit: dict[str, dict[str, float]]  # as of Identification, on flights left out
-    ahead: dict[str, float]  # the same
-    worse: dict[str, tuple[float, float]]  # the same
+    # These are fields of `Identification`, here on flights left out.
+    fit: dict[str, dict[str, float]]
+    ahead: dict[str, float]
+    worse: dict[str, tuple[float, float]]
 
     @staticmethod
     def of(problem: Problem, joint: FittedValues, heldout: list[MeasuredFlight]) -> _Fit:

@@ -127,8 +127,8 @@ def useful_values(found: SetPosterior, values: FittedValues) -> FittedValues:
     """Return the values of the effects without which flights left out are predicted worse.
 
     This is a backward elimination by the open-loop errors one second ahead: of the effects that flights left
-    out do not need (`_fit_without`), the one without which its main error grows least is dropped, one at a
-    time. None is dropped if no stretch of the flights is long enough.
+    out do not need (`_fit_if_unneeded`), the one without which its main error grows least is dropped, one at
+    a time. None is dropped if no stretch of the flights is long enough.
     """
     # No set of effects is exactly true: one may be certain from its windows and mislead all the same.
     fit = fitted_to_others(found, frozenset(values))
@@ -136,22 +136,23 @@ def useful_values(found: SetPosterior, values: FittedValues) -> FittedValues:
         unneeded: list[tuple[float, Refit]] = []
         for name in sorted(fit.values):
             errors = judged_by(found.problem.library[name], values[name])
-            if errors and (rest := _fit_without(found, fit, name, errors)):
+            if errors and (rest := _fit_if_unneeded(found, fit, name, errors)):
                 unneeded.append((rest.growth_of(errors, fit)[0], rest))
         if not unneeded:
             return fit.values
         _, fit = min(unneeded, key=lambda one: one[0])
 
 
-def _fit_without(found: SetPosterior, fit: Refit, name: str, errors: list[int]) -> Refit | None:
-    """Return the fit of the other effects, if flights left out do not need this one; None if they do.
+def _fit_if_unneeded(found: SetPosterior, fit: Refit, name: str, errors: list[int]) -> Refit | None:
+    """Return the fit without an effect that flights left out do not need; None for one that they need.
 
     They need it if the first of its `errors` (see `judged_by`) grows without it, the other effects fixed; or
     if one of these grows by USEFUL without it, the other effects fitted again.
     """
     rest = frozenset(fit.values) - {name}
     fixed = dataclasses.replace(fit, left_out=[{n: v[n] for n in rest} for v in fit.left_out])
-    if not fixed.pose_errors[errors[0]] <= fit.pose_errors[errors[0]]:
+    main = errors[0]
+    if not fixed.pose_errors[main] <= fit.pose_errors[main]:  # NaN, not measured: it is kept
         return None
     again = fitted_to_others(found, rest)
     return again if again.growth_of(errors, fit).max() <= 1.0 + thresholds.USEFUL else None
@@ -184,12 +185,12 @@ def _is_distinct(found: SetPosterior, values: FittedValues, name: str, firm: Set
     requests were logged.
     """
     channels = found.problem.library[name].channels
-    next_to_larger = name != next(iter(values)) and LOOPS.issuperset(channels)
-    if name in firm:
-        is_piece = name in loop_pieces(found.problem, values)  # all pieces have one size
-        return is_piece or not next_to_larger or _shows_ahead(found, values, name)
+    loop_next_to_larger = name != next(iter(values)) and LOOPS.issuperset(channels)
+    is_piece = name in loop_pieces(found.problem, values)  # all pieces have one size
     unseen_moment = "requests" in channels and not found.problem.requested
-    if unseen_moment or (next_to_larger and firm):
+    if name in firm and (is_piece or not loop_next_to_larger):
+        return True
+    if name not in firm and (unseen_moment or (loop_next_to_larger and firm)):
         return False
     return _shows_ahead(found, values, name)
 

@@ -70,8 +70,9 @@ SCATTER = {
 OF_OTHERS = Scatter(0.5, 0.3)  # of effects of other libraries: as wide as those of the spring
 
 # Effect -> what, under another law, looked like it, for sizes within these ends, in plausible sizes. Feet
-# that rebound or give way under one law are rougher or shorter ones under another; stiffer feet take away no
-# more than what they give way under the weight (1.6 mm), and longer ones differ from them beyond.
+# that rebound or give way under one law are rougher or shorter ones under another. Stiffer feet raise the
+# vehicle by at most the 1.6 mm by which its weight compresses them; feet longer by more cannot be confused
+# with stiff ones.
 _ALL = (-math.inf, math.inf)
 LOOKS_LIKE: dict[str, tuple[tuple[float, float], tuple[str, ...]]] = {
     "friction": ((0.0, math.inf), ("contact_damping", "contact_stiffness")),

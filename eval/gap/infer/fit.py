@@ -23,7 +23,10 @@ from inclined_landing.eval.gap.model.problem import Linearisation, Problem, solv
 from inclined_landing.models.vehicle import Vehicle
 
 MODEL_ERRORS = np.array([0.0, *np.geomspace(0.002, 0.5, 30)])  # f, multiplicative model errors that are tried
-ALTERNATIONS = 4  # rounds of fitting effects and noise model in turn
+ALTERNATIONS = 4  # rounds, at most, of fitting effects and noise model in turn
+# The fit of a round may be rough: the next one begins where it ends, with the noise estimated again.
+ROUGH_ITERATIONS = 3
+ROUGH_TOLERANCE = 5.0  # decrease of the cost that ends it
 LAGS = 4  # windows over which autocorrelations are summed
 ROUNDS = 8  # of Newton's method
 STEP_SHARES = (1.0, 0.5, 0.25, 0.1)  # of a Newton step, the first that decreases the deviance
@@ -76,20 +79,20 @@ def fit_least_squares(
 
     # Damping lambda as by Marquardt: a tenth after a step that decreases the cost, else ten times as much.
     for _ in range(iterations if names else 0):
-        improved = False
+        decrease = 0.0  # of the cost with its penalty, by the step that is taken
         while damping < 1e4:
             trial = _damped_step(problem, fit, damping, width)
             squares = problem.squares(trial)
             gain = fit.squares - squares + penalty(fit.values) - penalty(trial)
             if gain > 0.0:
-                fit, improved = LeastSquaresFit(problem, trial, columns, squares), True
+                fit, decrease = LeastSquaresFit(problem, trial, columns, squares), gain
                 damping = max(1e-9, damping / 10.0)
                 break
             step = problem.coordinates(trial, columns) - problem.coordinates(fit.values, columns)
             if fit.squares - fit.linear.predicted_squares(step) < tolerance:
                 break
             damping *= 10.0
-        if not improved or gain < tolerance:
+        if decrease < tolerance:
             break
     return fit
 
@@ -139,7 +142,7 @@ def estimate_noise(problem: Problem) -> tuple[Problem, FittedValues]:
     for _ in range(ALTERNATIONS):
         before = problem.noise_model
         values = fit_least_squares(
-            problem, values, iterations=3, tolerance=5.0, prior=_joint_fit_prior
+            problem, values, ROUGH_ITERATIONS, ROUGH_TOLERANCE, prior=_joint_fit_prior
         ).values
         predicted = problem.predicted(values)
         errors = [f.measured - p for f, p in zip(problem.flights, predicted)]

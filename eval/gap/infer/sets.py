@@ -13,6 +13,7 @@ import itertools
 import math
 from collections import defaultdict
 from collections.abc import Sequence
+from typing import NamedTuple
 
 import numpy as np
 from msgspec import structs
@@ -108,6 +109,13 @@ def search(problem: Problem, joint: FittedValues) -> SetPosterior:
     return SetPosterior(problem, linear, spread, chosen, scored)
 
 
+class _Predicted(NamedTuple):
+    """What a fit predicts for a neighbour of its set, by its linearisation."""
+
+    score: float  # log posterior probability, up to a constant
+    near: FittedSet  # that fit
+
+
 class _Fits:
     """Sets of effects fitted through the simulator, and the search for the most probable ones."""
 
@@ -129,7 +137,8 @@ class _Fits:
         """
         problem, library = self.problem, self.problem.library
         values = {n: {**library[n].neutral, **start.get(n, {})} for n in library if n in names}
-        best, outside = None, FittedValues()  # values of effects that are not in the set
+        best = None
+        outside = FittedValues()  # values of effects that are not in the set: see `_requested`
         for _ in range(NEWTON_STEPS):
             columns = problem.all_columns() + problem.form_columns(values)
             local = self._linearised({**outside, **values}, columns)
@@ -137,17 +146,16 @@ class _Fits:
             outside = _requested(problem, local, names)
             nonzero = _all_nonzero(problem, names, mode)
             score = evidence(names) + log_prior(problem, names) if nonzero else -np.inf
-            here, following = problem.coordinates(values, columns), mode
-            step = problem.coordinates(mode, columns) - here
+            at = problem.coordinates(values, columns)
+            next_values, step = mode, problem.coordinates(mode, columns) - at  # a full Newton step
             if best is None or score > best.score:
                 best = FittedSet(names, mode, local, evidence, score)
-            elif np.isfinite(best.score):
+            elif np.isfinite(best.score):  # from the best, half of the step that led here
                 best_at = problem.coordinates(best.local.values, columns)
-                following, step = problem.values_at(names, columns, 0.5 * (best_at + here)), here - best_at
-            negligible = np.array([problem.parameter(c).negligible for c in columns])
-            if np.abs(step / negligible).max() < STEP_TOLERANCE or score < rough_below:
+                next_values, step = problem.values_at(names, columns, 0.5 * (best_at + at)), at - best_at
+            if score < rough_below or _is_negligible(problem, columns, step):
                 break
-            values = following
+            values = next_values
         assert best is not None
         return best
 
@@ -170,8 +178,8 @@ class _Fits:
             fit = self.fit(frozenset(start), start)
             if fit.names not in fitted or fit.score > fitted[fit.names].score:
                 fitted[fit.names] = fit
-        # Set -> its predicted log posterior probability, and the fit that this was predicted from.
-        predicted: dict[EffectSet, tuple[float, FittedSet]] = {}
+        predicted: dict[EffectSet, _Predicted] = {}
+        # Set -> values that its fit begins at, for an effect whose slopes at neutral may mislead.
         far_starts: dict[EffectSet, FittedValues] = {}
         expanded: set[EffectSet] = set()
         while len(fitted) < MOST_FITS:
@@ -179,20 +187,21 @@ class _Fits:
             for fit in (fitted[n] for n in sorted({frozenset(), best.names} - expanded, key=len)):
                 expanded.add(fit.names)
                 for names in _neighbours(problem, fit):
-                    predicted[names] = (fit.evidence(names) + log_prior(problem, names), fit)
+                    predicted[names] = _Predicted(fit.evidence(names) + log_prior(problem, names), fit)
                 for name, (start, gain) in self._far_starts(fit.values).items():
                     others = [n for n in problem.library[name].confused_with if n in fit.names]
                     for names in (fit.names | {name}, *(fit.names - {n} | {name} for n in others)):
                         if names not in fitted:
                             far_starts[names] = start
-                            predicted[names] = (max(predicted[names][0], fit.score + gain), fit)
-            unfitted = [(score, names) for names, (score, _) in predicted.items() if names not in fitted]
+                            score = max(predicted[names].score, fit.score + gain)
+                            predicted[names] = _Predicted(score, fit)
+            unfitted = [names for names in predicted if names not in fitted]
             if not unfitted:
                 break
-            score, names = max(unfitted, key=lambda item: (item[0], sorted(item[1])))
-            if score < best.score - FIT_WITHIN:
+            names = max(unfitted, key=lambda n: (predicted[n].score, sorted(n)))
+            if predicted[names].score < best.score - FIT_WITHIN:
                 break
-            start = self.linear_estimate(predicted[names][1], names) | far_starts.get(names, {})
+            start = self.linear_estimate(predicted[names].near, names) | far_starts.get(names, {})
             if _all_nonzero(problem, names, start):
                 fitted[names] = self.fit(names, start, best.score - ROUGH_BEYOND)
             else:  # its predicted probability comes from values beyond the bounds
@@ -345,6 +354,12 @@ def _requested(problem: Problem, local: LinearGaussian, names: EffectSet) -> Fit
     return problem.values_at(others, local.columns, (local.at + local.posterior(names)[0]) * local.unit)
 
 
+def _is_negligible(problem: Problem, columns: Sequence[Column], step: np.ndarray) -> bool:
+    """Return whether a Newton step (P,) is too small for another to be worth its time."""
+    negligible = np.array([problem.parameter(c).negligible for c in columns])
+    return bool(np.abs(step / negligible).max() < STEP_TOLERANCE)
+
+
 def _all_nonzero(problem: Problem, names: EffectSet, values: Values) -> bool:
     """Return whether every effect of a set is non-zero; with one at zero it is a smaller set."""
     return all(np.any(problem.sizes(name, values)) for name in names)
@@ -475,16 +490,18 @@ def equivalence_class(found: SetPosterior, name: str) -> tuple[str, ...]:
     bent = [o for o in confused if not all(p.linear for p in others[o].parameters)]
     bent = [o for o in bent if found.probability(o) >= thresholds.POSSIBLE]
     same = [o for o in fitting(name).same_as if o in library]
-    if name == "com_offset" and not found.problem.requested and name in found.best.values:
-        same += _rotor_of_moment(found.best.values[name]["x"], found.best.values[name]["y"])
-    return tuple(dict.fromkeys((name, *replacing, *sorted(tied, key=lambda o: -share[o]), *bent, *same)))
+    tied.sort(key=lambda o: -share[o])
+    return tuple(dict.fromkeys((name, *replacing, *tied, *bent, *same, *_rotor_instead(found, name))))
 
 
-def _rotor_of_moment(x: float, y: float) -> list[str]:
-    """Return the rotor that, giving less thrust, makes the moment of a centre of mass at (x, y), if one does.
+def _rotor_instead(found: SetPosterior, name: str) -> list[str]:
+    """Return the rotor that, giving less thrust, makes the moment of a centre of mass named, if one does.
 
-    It is the one towards which the centre of mass lies.
+    It is the one towards which the centre of mass lies. Requests of the motors would distinguish the two.
     """
+    if name != "com_offset" or found.problem.requested or name not in found.best.values:
+        return []
+    x, y = found.best.values[name]["x"], found.best.values[name]["y"]
     if min(abs(x), abs(y)) < DIAGONAL * max(abs(x), abs(y)):
         return []
     corners = {(True, False): 1, (False, False): 2, (False, True): 3, (True, True): 4}  # x forward, y left

@@ -16,6 +16,7 @@ from __future__ import annotations
 import dataclasses
 import functools
 from collections.abc import Sequence
+from typing import NamedTuple
 
 import numpy as np
 from scipy.linalg import cholesky, null_space, solve_triangular
@@ -63,15 +64,19 @@ class ErrorResponses:
         turned = of_step(
             lambda s: (s - (1.0 - np.exp(-turn_bandwidth * s)) / turn_bandwidth) / turn_bandwidth
         )
+        # What an unknown start state adds to a position, a tilt and the yaw, as functions of time, ...
         line = np.stack([np.ones(rows), t], axis=1)
         tilt = np.stack(modes(t), axis=1)
         turn = np.stack([np.ones(rows), np.exp(-turn_bandwidth * t)], axis=1)
-        line, tilt, turn = (null_space(x.T) for x in (line, tilt, turn))
-        free, fed = [line] * 3 + [tilt] * 2 + [turn], [moved] * 3 + [tilted] * 2 + [turned]
+        # ... and the projections that leave nothing of it.
+        no_line, no_tilt, no_turn = (null_space(x.T) for x in (line, tilt, turn))
+        projection: tuple[np.ndarray, ...] = (no_line, no_line, no_line, no_tilt, no_tilt, no_turn)
+        impulse: tuple[np.ndarray, ...] = (moved, moved, moved, tilted, tilted, turned)
         if requests:  # no start state; two rows fewer, as many numbers as the other channels have
-            free += [np.eye(rows, rows - 2)] * 3
-            fed += [np.eye(rows)] * 3
-        return ErrorResponses(tuple(free), tuple(fed), dt)
+            fewer = np.eye(rows, rows - 2)
+            projection += (fewer, fewer, fewer)
+            impulse += (np.eye(rows), np.eye(rows), np.eye(rows))
+        return ErrorResponses(projection, impulse, dt)
 
     def noise(self, channel: int, noise: np.ndarray, acceleration: np.ndarray) -> np.ndarray:
         """Return the covariance (q, q) of a channel's error by measurement noise (see `Whitening.of`)."""
@@ -193,14 +198,32 @@ def estimate(
     return NoiseModel(size, size_ends.T, time, time_ends.T, noise)
 
 
-def _fit_channel(flights, windows, channel: int):
-    """Return (size, its interval, correlation time, its interval, noise factor) of a channel."""
+class _ChannelNoise(NamedTuple):
+    """The noise model of a channel: see `NoiseModel`."""
+
+    size: float
+    size_ci95: tuple[float, float]
+    time: float
+    time_ci95: tuple[float, float]
+    noise: float
+
+
+class _Modes(NamedTuple):
+    """A flight's errors in one channel along the modes of a disturbance of one correlation time."""
+
+    variances: np.ndarray  # (q,) by a disturbance of unit size, those by noise being 1
+    squares: np.ndarray  # (q,) mean squares over the windows
+    windows: int
+
+
+def _fit_channel(flights, windows, channel: int) -> _ChannelNoise:
+    """Return the noise model of a channel."""
     parts = [_simultaneous_modes(f, w, channel) for f, w in zip(flights, windows) if f.logged[channel]]
     if not parts:
-        return 0.0, (0.0, 0.0), 0.3, (0.3, 0.3), 1.0
+        return _ChannelNoise(0.0, (0.0, 0.0), 0.3, (0.3, 0.3), 1.0)
     # The size at which the disturbance alone, of a medium correlation time, would explain the errors.
-    middle = len(TIMES) // 2
-    typical = np.median([z.mean() / v.mean() for v, z, _ in (p[middle] for p in parts)])
+    medium = [part[len(TIMES) // 2] for part in parts]
+    typical = np.median([modes.squares.mean() / modes.variances.mean() for modes in medium])
     sizes = SIZE_FACTORS * np.sqrt(max(typical, 1e-12))
     table = np.stack([_log_likelihood(part, sizes) for part in parts])  # (f, times, noise, sizes)
     best = np.unravel_index(int(np.argmax(table.sum(axis=0))), table.shape[1:])
@@ -215,16 +238,16 @@ def _fit_channel(flights, windows, channel: int):
     time = _parabola_vertex(np.log(TIMES), total[:, best[1], best[2]], best[0])
     factor = float(np.sqrt(NOISE_VARIANCES[best[1]]))
     if best[2] == 0:  # the smallest size of the grid: no disturbance
-        return 0.0, (0.0, float(size_ends[1])), time, tuple(time_ends), factor
-    ends = (min(size, size_ends[0]), max(size, size_ends[1]))
-    return size, ends, time, (min(time, time_ends[0]), max(time, time_ends[1])), factor
+        return _ChannelNoise(0.0, (0.0, float(size_ends[1])), time, tuple(time_ends), factor)
+    size_ci95 = (min(size, size_ends[0]), max(size, size_ends[1]))
+    time_ci95 = (min(time, time_ends[0]), max(time, time_ends[1]))
+    return _ChannelNoise(size, size_ci95, time, time_ci95, factor)
 
 
-def _simultaneous_modes(flight, windows: np.ndarray, channel: int):
-    """Return, for every correlation time, (variances (q,) by unit disturbance, mean squares (q,), windows w).
+def _simultaneous_modes(flight, windows: np.ndarray, channel: int) -> list[_Modes]:
+    """Return a flight's errors along the modes of noise and disturbance, for every correlation time.
 
-    They are along the generalised eigenvectors, which diagonalise the covariances of noise and disturbance
-    together.
+    The modes are the generalised eigenvectors, which diagonalise the covariances of both together.
     """
     # D v = lambda N v,  v'N v = 1:  a mode has the variance  noise + size^2 lambda.  With N = L L' these are
     # the eigenvectors u of L^-1 D L'^-1,  v = L'^-1 u.
@@ -236,7 +259,7 @@ def _simultaneous_modes(flight, windows: np.ndarray, channel: int):
     for time in TIMES:
         disturbance = inverse @ error_responses.disturbance(channel, float(time)) @ inverse.T
         variance, modes = np.linalg.eigh(disturbance)  # unlike scipy's, in two threads at once
-        result.append((np.maximum(variance, 0.0), _mean_squares(free @ modes), len(windows)))
+        result.append(_Modes(np.maximum(variance, 0.0), _mean_squares(free @ modes), len(windows)))
     return result
 
 
@@ -252,7 +275,7 @@ def winsorised(squares: np.ndarray) -> np.ndarray:
     return np.minimum(1.0, most / np.maximum(squares, 1e-300))
 
 
-def _log_likelihood(part, sizes: np.ndarray) -> np.ndarray:
+def _log_likelihood(part: Sequence[_Modes], sizes: np.ndarray) -> np.ndarray:
     """Return the log-likelihood (times, noise, sizes) of one flight."""
     # log p = -1/2 w sum_q [log(n + s^2 lambda_q) + m_q / (n + s^2 lambda_q)],  m_q the mean square of mode q
     likelihoods = []

@@ -10,7 +10,7 @@ from __future__ import annotations
 import dataclasses
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 import pandas
@@ -32,6 +32,7 @@ DIGIT = 1e-4  # m or rad, to which poses are compared: a file may have been writ
 SAMPLED = 16  # of so many rows, one is kept to recognise a flight by
 SAME = 0.5  # share of its poses that a flight has in common with itself, cut out and written again
 DIFFERENT = "fitting and evaluation need different flights"
+_ANGLE_COMMANDS = slice(1, 3)  # of a log's commands: roll and pitch
 AFTER_THRUST = 1.0  # s after the last commanded thrust in which a vehicle may still fall over
 
 
@@ -106,14 +107,17 @@ class UsableFlights:
 
     def without_angle_commands(self, vehicle: Vehicle) -> UsableFlights:
         """Return the flights as if their attitude commands were not known."""
-        unknown = [1.0, np.nan, np.nan, 1.0]
-        logs, heldout = (
-            [dataclasses.replace(log, command=log.command * unknown) for log in some]
-            for some in (self.logs, self.heldout)
-        )
+        logs, heldout = (list(map(_without_angle_commands, some)) for some in (self.logs, self.heldout))
         fitted, _ = prepare_all(logs, vehicle, self.platform)
         judged, _ = prepare_all(heldout, vehicle, self.platform) if heldout else ([], ())
         return dataclasses.replace(self, fitted=fitted, judged=judged)
+
+
+def _without_angle_commands(log: FlightLog) -> FlightLog:
+    """Return a log as if its commands of roll and pitch had not been recorded."""
+    command = np.array(log.command, float)
+    command[:, _ANGLE_COMMANDS] = np.nan
+    return dataclasses.replace(log, command=command)
 
 
 def usable_flights(
@@ -222,6 +226,14 @@ def check_unused(logs: Iterable[FlightLog], used: Mapping[str, Sequence[int]], w
                 raise UserError(f"{log.name} holds the same flight as {name} {where}; {DIFFERENT}")
 
 
+class _Kept(NamedTuple):
+    """What is kept of a flight."""
+
+    log: FlightLog
+    poses: np.ndarray  # (m,) of its rows: see `poses`
+    held_out: bool
+
+
 def distinct(
     flights: Sequence[FlightLog], heldout: Sequence[FlightLog]
 ) -> tuple[list[FlightLog], list[FlightLog], tuple[SetAside, ...], tuple[str, ...]]:
@@ -230,32 +242,30 @@ def distinct(
     Raises UserError for a held-out flight that is fitted.
     """
     aside, notes = list[SetAside](), list[str]()
-    seen: list[tuple[str, np.ndarray, bool]] = []
-    kept: tuple[list[FlightLog], list[FlightLog]] = [], []
+    kept: list[_Kept] = []
     for log, held_out in [*((log, False) for log in flights), *((log, True) for log in heldout)]:
-        every = poses(log)
-        rest: FlightLog | None = log
-        for name, known, is_held_out in seen:
-            again = np.isin(every, known)
-            common = len(np.unique(every[again]))
-            if common <= min(SAME * len(np.unique(every)), SHORTEST * log.rate):
+        own = _Kept(log, poses(log), held_out)  # less and less of it, as its rows turn up in earlier flights
+        for earlier in kept:
+            again = np.isin(own.poses, earlier.poses)
+            common = len(np.unique(own.poses[again]))
+            # Poses may agree by chance. A short flight has most of its poses in common with its copy; a long
+            # one need only have a stretch in common that would be long enough to be used.
+            if common <= min(SAME * len(np.unique(own.poses)), SHORTEST * own.log.rate):
                 continue
-            new = _lasting(log.t, ~again)
-            if held_out and not is_held_out and not new.any():
+            new, name = _lasting(own.log.t, ~again), earlier.log.name
+            if held_out and not earlier.held_out and not new.any():
                 raise UserError(f"{log.name} holds the same flight as {name}; {DIFFERENT}")
             if not new.any():
                 aside.append(SetAside(log.name, f"it is the same flight as {name}."))
-                rest = None
                 break
             notes.append(
                 f"{log.name}: {percent((~new).mean())} of its rows are those of {name}: they count once"
             )
-            rest, every = log.rows(new), every[new]
-            log = rest
-        if rest is not None:
-            seen.append((rest.name, every, held_out))
-            kept[held_out].append(rest)
-    return *kept, tuple(aside), tuple(notes)
+            own = _Kept(own.log.rows(new), own.poses[new], held_out)
+        else:
+            kept.append(own)
+    to_fit, to_judge = ([one.log for one in kept if one.held_out is held_out] for held_out in (False, True))
+    return to_fit, to_judge, tuple(aside), tuple(notes)
 
 
 def _lasting(t: np.ndarray, rows: np.ndarray) -> np.ndarray:

@@ -33,7 +33,9 @@ Values = Mapping[str, Mapping[str, float]]  # effect -> parameter -> value; BASE
 FittedValues = dict[str, dict[str, float]]  # the same, a copy to change
 T = TypeVar("T")
 
-BASE = "base model"  # among values, beside the names of effects: the weights of its model (form) errors
+# The base model stands among values beside the names of effects, with the weights of its model (form) errors,
+# so that values are all that a prediction depends on.
+BASE = "base model"
 SLAB = 1.0  # standard deviation of the slab, in plausible sizes
 # Covariance of a unit size at both sides: see `slab_covariance`.
 SHAPE_COVARIANCE = np.array([[0.3125, 0.1875], [0.1875, 0.3125]])
@@ -137,11 +139,17 @@ FITTING = {
 
 
 class ParameterColumn(Struct, frozen=True, tag="parameter"):
-    """A column of the Jacobian: a parameter of an effect."""
+    """A column of the Jacobian: a parameter of an effect.
+
+    An effect about a reference (see `Candidates.columns`) has two, for the sizes about the lowest and about
+    the highest reference: a pair with the same key, in this order, one next to the other. `Effect.at_ends`
+    splits a size about any reference into the two, and `Effect.from_ends` puts them together.
+    """
 
     effect: str
     parameter: str
-    fixed: tuple[tuple[str, float], ...] = ()  # the effect's reference, at the end at which it is taken
+    # Of a pair: the name of the reference, and the end of its range that this column is about. Else empty.
+    fixed: tuple[tuple[str, float], ...] = ()
 
     @property
     def key(self) -> tuple[str, str]:
@@ -309,8 +317,9 @@ class Candidates:
                 p, effect = self.parameter(column), self.library[column.effect]
                 result[k] = p.coordinate(at.get(p.name, p.neutral))
                 if column.fixed and (about := effect.reference) is not None:
-                    ends = effect.at_ends(result[k], at.get(about.name, about.neutral))
-                    result[k] = ends[column.fixed[0][1] == about.either_side()[1]]
+                    at_lowest, at_highest = effect.at_ends(result[k], at.get(about.name, about.neutral))
+                    (_, end), (_, highest) = column.fixed[0], about.either_side()
+                    result[k] = at_highest if end == highest else at_lowest
         return result
 
     def values_at(self, names: Iterable[str], columns: Sequence[Column], at: np.ndarray) -> FittedValues:

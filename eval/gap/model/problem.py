@@ -2,6 +2,9 @@
 
 With white errors e and the Jacobian J of the prediction, e(x + d) = e - J d; everything after a linearisation
 works on the Gram matrices of every flight (normal equations):  a = J'J,  b = J'e,  c = e'e.
+
+Each channel is whitened alone. Predictions and Jacobians, (..., m, C) in all signatures, therefore lie in
+memory one channel after another, (..., C, m): `transposed` leads from either to the other without a copy.
 """
 
 from __future__ import annotations
@@ -57,7 +60,9 @@ class Problem(Candidates):
     """
 
     flights: tuple[MeasuredFlight, ...]  # whitened by the noise model
-    reference: VehiclePosterior | None  # of the vehicle's identification; None: its constants are exact
+    # Of the vehicle's constants, from flights or from its file; None: they are exact, as for a caller of
+    # `diagnose` without either.
+    reference: VehiclePosterior | None
     model_errors: float  # standard deviation of model errors without a reference, over the full one
     noise_model: NoiseModel
     weight: np.ndarray  # (w, C) inverse variance by model errors; 0 in channels that were not logged
@@ -79,14 +84,15 @@ class Problem(Candidates):
         channels = flights[0].channels  # C: 6 of the pose, and 3 of motor requests where logged
         logged = np.array([f.logged for f in flights])
         ignored = {"touchdown"} | {name for name, of in CHANNEL_GROUPS.items() if not logged[:, of].any()}
-        kept = {
-            name: effect.sized_for(vehicle)
-            for name, effect in library.items()
-            if set(effect.channels) - ignored
-            and all(getattr(f, channel) is not None for f in flights for channel in effect.requires)
-        }
+        kept: dict[str, Effect] = {}
+        for name, effect in library.items():
+            shows = set(effect.channels) - ignored
+            # What an effect requires are fields of a flight, None where the log has no such channel.
+            has_all = all(getattr(f, field) is not None for f in flights for field in effect.requires)
+            if shows and has_all:
+                kept[name] = effect.sized_for(vehicle)
         if _wind_force(vehicle, kept) < thresholds.FEEBLE:
-            del kept["wind"]
+            kept = without(kept, "wind")
         if channels > len(CHANNELS):
             kept = {name: effect.seen_in_requests() for name, effect in kept.items()}
             if reference is not None:
@@ -260,10 +266,11 @@ class Problem(Candidates):
         predicted = predictor(self.flights[0], vehicles)
 
         def of(flight: MeasuredFlight, form_jacobian: np.ndarray) -> np.ndarray:
-            here, *also = predicted(flight)
-            rest, moved = dict(zip(others, also)), dict(zip(differences, also[len(others) :]))
-            # As in memory: one channel after another
-            result = np.empty((1 + len(columns), *here.T.shape)).transpose(0, 2, 1)
+            of_vehicles = iter(predicted(flight))  # in the order of `vehicles`
+            here = next(of_vehicles)
+            rest = {effect: next(of_vehicles) for effect in others}
+            moved = {column: next(of_vehicles) for column in differences}
+            result = transposed(np.empty((1 + len(columns), *here.T.shape)))
             result[0] = _with_model_errors(here, form_jacobian, values)
             for column, out in zip(columns, result[1:]):
                 if isinstance(column, BaseColumn):
@@ -296,7 +303,8 @@ class Problem(Candidates):
         grams = np.zeros((self.groups, 1 + len(columns), 1 + len(columns)))  # [e, J]' [e, J]
         jacobian_of = self.jacobian(values, columns)
 
-        def of(k: int) -> None:
+        def add(k: int) -> None:
+            """Add the windows of flight k to the Gram matrices of their groups."""
             flight, own = self.flights[k], self.flight_of == k
             stack = jacobian_of(flight, self.form_jacobians[k])
             stack[0] = flight.measured - stack[0]  # [e, J]
@@ -304,11 +312,7 @@ class Problem(Candidates):
             ends = [0, *(np.flatnonzero(np.diff(groups)) + 1), len(groups)]  # of the groups' windows
             for channel, matrix in enumerate(flight.whitening.matrices):
                 series = stack[:, :, channel]
-                # A constant of the pose goes with the start state; of the requests it is a moment.
-                constant = series[:, :1] * (channel < len(CHANNELS))
-                live = series[:, -1] != constant[:, 0]
-                live[~live] = (series[~live] != constant[~live]).any(axis=1)
-                live = np.flatnonzero(live)
+                live = _live(series, of_the_pose=channel < len(CHANNELS))
                 windows = np.take(series[live], of_windows, axis=1)  # (live, w, rows)
                 white = (windows.reshape(-1, flight.rows) @ matrix.T).reshape(*windows.shape[:2], -1)
                 white *= share[own, channel, None]
@@ -316,10 +320,26 @@ class Problem(Candidates):
                     part = white[:, first:last].reshape(len(live), -1)
                     grams[np.ix_([groups[first]], live, live)] += part @ part.T
 
-        two_at_a_time(of, range(len(self.flights)))
+        two_at_a_time(add, range(len(self.flights)))
         a, b, c = grams[:, 1:, 1:], grams[:, 1:, 0], grams[:, 0, 0]
         flight_of = np.array([self.flight_of[self.group_of == g][0] for g in range(self.groups)])
         return Linearisation(values, tuple(columns), a, b, c, flight_of)
+
+
+def transposed(values: np.ndarray) -> np.ndarray:
+    """Return a view of values with the last two axes exchanged: see the memory layout above."""
+    return values.swapaxes(-1, -2)
+
+
+def _live(series: np.ndarray, of_the_pose: bool) -> np.ndarray:
+    """Return the indices of the series (n, m) in one channel that add to its Gram matrix.
+
+    A constant of the pose goes with the unknown start state; in the requests it is a moment, unless it is 0.
+    """
+    constant = series[:, :1] * of_the_pose
+    live = series[:, -1] != constant[:, 0]  # this decides for most
+    live[~live] = (series[~live] != constant[~live]).any(axis=1)
+    return np.flatnonzero(live)
 
 
 def _whitened(flight: MeasuredFlight, predicted: np.ndarray) -> np.ndarray:
@@ -333,7 +353,7 @@ def _form_jacobians(flights: Sequence[MeasuredFlight], vehicle: Vehicle) -> tupl
     def of(flight: MeasuredFlight) -> np.ndarray:
         gravity, predicted = vehicle.environment_gravity, predict(flight, vehicle)
         columns = [BaseColumn(f).along(predicted, gravity, flight).T for f in BASE_DEVIATIONS]
-        return np.stack(columns).transpose(0, 2, 1)  # in memory one channel after another
+        return transposed(np.stack(columns))
 
     return tuple(two_at_a_time(of, flights))
 
@@ -343,8 +363,8 @@ def _with_model_errors(predicted: np.ndarray, form_jacobian: np.ndarray, values:
     weights = values.get(BASE, {})
     if not any(weights.values()):
         return predicted
-    jacobian = form_jacobian.transpose(0, 2, 1)  # as in memory
-    return predicted + np.tensordot([weights[f] for f in BASE_DEVIATIONS], jacobian, axes=1).T
+    by_channel = np.tensordot([weights[f] for f in BASE_DEVIATIONS], transposed(form_jacobian), axes=1)
+    return predicted + transposed(by_channel)
 
 
 def _wind_force(vehicle: Vehicle, library: Mapping[str, Effect]) -> float:
@@ -363,12 +383,8 @@ def identifiable_effects(
     measured = any(f.thrust_is_measured for f in flights)
     requested = all(f.requests is not None for f in flights)
     for name, effect in library.items():
-        if measured and effect.of_the_drive:
-            continue  # the speeds of the rotors are given
-        if not effect.identified and "requests" not in effect.channels:
-            continue  # flights do not distinguish it from lags and gains of the loops
-        if not requested and "requests" in effect.channels and effect.requires:
-            continue  # as in most logs; a note for each would hide the others
+        if _never_shows(effect, measured, requested):
+            continue
         why = {_why_unidentifiable(channel, least, flights) for channel, least in effect.requires.items()}
         if why := why - {""}:
             others = ", ".join(effect.confused_with)
@@ -378,6 +394,19 @@ def identifiable_effects(
     if not requested:
         notes.append("the four motor commands are not logged, so individual rotors cannot be diagnosed")
     return kept, notes
+
+
+def _never_shows(effect: Effect, measured: bool, requested: bool) -> bool:
+    """Return whether flights of this kind cannot show an effect, whatever they excite: no note says so.
+
+    measured: rotor speeds are, and take the place of the thrust command. requested: the motors' requests are
+    logged; in most logs they are not, and a note for each effect would hide the others.
+    """
+    of_requests = "requests" in effect.channels
+    given = measured and effect.of_the_drive
+    like_other_loops = not effect.identified and not of_requests  # as lags and gains of the loops look
+    not_logged = of_requests and bool(effect.requires) and not requested
+    return given or like_other_loops or not_logged
 
 
 def _why_unidentifiable(channel: str, least: float, flights: Sequence[MeasuredFlight]) -> str:

@@ -108,7 +108,8 @@ class VehiclePosterior:
     mean: np.ndarray  # (P,) coordinates of the parameters
     covariance: np.ndarray  # (P, P) of these
     repeating: ReferenceResidual  # functions of the residual common to its flights
-    # Effects of the library at its identification: those without a column were never met, and are no error.
+    # Effects of the library at its identification. An effect listed here without a column was not excited by
+    # the reference flights; the vehicle is taken to have no error in it.
     library: frozenset[str]
     from_flights: bool = True  # or from the uncertainties in a vehicle file
     errors: ReferenceErrors | None = None  # None: not known

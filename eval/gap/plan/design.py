@@ -26,7 +26,7 @@ MOST_OF_A_KIND = 3  # pieces of a kind: varied flights also excite what is not i
 MOST_SETS = 12  # most probable sets that are discriminated between
 LEAST_SHARE = 0.01  # of the first one's probability, for the others
 SIMULATED = 6  # most probable sets under which the flight is simulated
-WORTH = 0.2  # share of the gain that pieces close to a surface must bring, or turns, or none is flown
+WORTH = 0.2  # pieces near a surface, and turns, are flown only if they add at least this share of the gain
 NEAR_KEPT = 0.9  # share of what they add to the right set's expected probability that is kept when raised
 RAISED = (1.0, 0.8, 0.6, 0.5, 0.4, 0.3, 0.2, 0.1)  # heights tried, shares of their bounds
 

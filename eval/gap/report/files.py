@@ -58,7 +58,23 @@ def write_identified(found: Identification, folder: Path, *, base: Path | None =
     write_posterior(folder / VEHICLE, found.reference)
 
 
-def keep_vehicle(vehicle: Path, file: Path) -> None:
+def write_reference(file: Path, found: Identification | None, given: Path | None) -> Path | None:
+    """Write the vehicle that flights were compared with to `file`; return what its correction is based on.
+
+    found: its identification from flights of a reference. Without one it is the file `given`; without either
+    it is the shipped vehicle, of which nothing is written.
+    """
+    if found is not None:
+        file.parent.mkdir()
+        write_identified(found, file.parent, base=given)
+        return file
+    if given is not None:
+        file.parent.mkdir()
+        _copy_vehicle(given, file)
+    return given
+
+
+def _copy_vehicle(vehicle: Path, file: Path) -> None:
     """Copy a vehicle file or shipped vehicle, and its posterior if there is one, to `file`."""
     source = locate_vehicle(vehicle)
     for original, copy in ((source, file), (posterior_path(source), posterior_path(file))):

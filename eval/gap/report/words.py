@@ -119,7 +119,8 @@ def _shown(p: Estimate, firm: bool) -> str:
     return f"about {quantity(0.0, p.unit)}" if firm and p.neutral == 0.0 and not p.differs else value(p)
 
 
-# How a sentence goes on for a negative number: {delay} older, -14 ms older is 14 ms younger.
+# Parts of the effects' sentences (`Effect.says`), and what takes their place for a negative number, which
+# then loses its sign: -14 ms older is 14 ms younger.
 _NEGATIVE = {
     " older than": " younger than",
     " more than": " less than",
@@ -130,12 +131,13 @@ _NEGATIVE = {
 
 def said(name: str, numbers: Mapping[str, tuple[float, str]]) -> str:
     """Return an effect's sentence with its numbers, each with its text; a negative one reverses the sense."""
-    text, texts = LIBRARY[name].says, {key: text for key, (_, text) in numbers.items()}
-    (key, (number, own)), *others = numbers.items()
-    known = [(usual, other) for usual, other in _NEGATIVE.items() if usual in text]
-    if number < 0.0 and not others and known:
-        texts[key], text = own.lstrip("-"), text.replace(*known[0])
-    return text.format(**texts)
+    sentence, texts = LIBRARY[name].says, {key: text for key, (_, text) in numbers.items()}
+    if len(numbers) == 1 and all(number < 0.0 for number, _ in numbers.values()):
+        for usual, reverse in _NEGATIVE.items():
+            if usual in sentence:  # the sense is reversed, and the number loses its sign
+                positive = {key: text.lstrip("-") for key, text in texts.items()}
+                return sentence.replace(usual, reverse).format(**positive)
+    return sentence.format(**texts)
 
 
 def remedy(effect: NamedEffect) -> str:
@@ -294,8 +296,8 @@ def product_sentence(e: NamedEffect) -> str:
     if e.product is None:
         return ""
     number, ends = quantity(e.product.value, "m/s2"), interval(e.product.ci95, "m/s2")
-    what, _, then = LIBRARY[e.name].product.partition("; ")
-    return f"The flights determine only {what}, {number} ({ends}) in hover; {then}."
+    what, _, consequence = LIBRARY[e.name].product.partition("; ")  # the two clauses of `Effect.product`
+    return f"The flights determine only {what}, {number} ({ends}) in hover; {consequence}."
 
 
 def _undecided(d: Diagnosis, name: str) -> Answer:
