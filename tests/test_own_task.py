@@ -123,6 +123,7 @@ JUDGED = (
     [
         ("evaluate(self, context): return 1 / 0", "ZeroDivisionError: division by zero"),
         ("evaluate(self, context): return None", "evaluate returned None, not an Evaluation"),
+        ("evaluate(self, context): return self.reward_weights['up']", "has no weight of the term up; it is"),
         (JUDGED.replace("1.0 * up", "1.0"), "term up must have shape (2,), not ()"),
         (JUDGED.replace("1.0 * up", "np.nan + up"), "term up must be finite"),
         (JUDGED.replace("up, up, np", "1.0 * up, up, np"), "success must be boolean"),

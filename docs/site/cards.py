@@ -29,7 +29,6 @@ from recipes import recorded
 from inclined_landing.envs.history import input_names
 from inclined_landing.envs.ids import SHIPPED
 from inclined_landing.envs.policy import Policy, load_policy
-from inclined_landing.models.effects import LIBRARY
 from inclined_landing.train.sweep.recipe import filled, read_recipe, shipped
 
 HERE = Path(__file__).parent
@@ -350,20 +349,27 @@ def _training(metadata: dict) -> str:
     return f"{algorithm}, {steps} steps in {plant}, seed {seed}, curriculum `{curriculum}`"
 
 
+def _contains(whole: object, part: object) -> bool:
+    """Return whether tables, and those within them, have all entries of others."""
+    if isinstance(whole, dict) and isinstance(part, dict):
+        return all(key in whole and _contains(whole[key], value) for key, value in part.items())
+    return whole == part
+
+
 def _randomised(metadata: dict) -> str:
     ranges = metadata.get("ranges")
     if not ranges:
         return "no: every episode has the nominal vehicle"
     for file in sorted(FOLDER.glob("*.toml")):
         present = tomllib.loads(file.read_text("utf-8"))
-        if all(present.get(key) == value for key, value in ranges.items()):  # it may say more by now
+        if _contains(present, ranges):  # it may say more by now
             named = f"[`{file.name}`](../../envs/shipped/{file.name}), "
             break
     else:
         named = ""
     vehicles = ranges.get("vehicles", [])
     rows = f"; between {' and '.join((vehicles[0], vehicles[-1]))}" if vehicles else ""
-    return f"{named}{len(ranges['effects'])} of the {len(LIBRARY)} effects of the library{rows}"
+    return f"{named}{len(ranges['effects'])} effects of the library{rows}"
 
 
 # What it reaches.

@@ -149,7 +149,7 @@ def named_effects(
         parameters = {"response": sizes.response(found, values, lags)} if is_loop else estimates[name]
         members = _members(found, values, names)
         too_small = least > 0.0 and not ahead[name].cost > least
-        cancelled = may_cancel and name in sizes.WEIGHT
+        cancelled = may_cancel and library[name].changes_hover
         doubt = _doubt(problem, name, ahead[name].along, too_small, cancelled)
         doubt = doubt or _doubt_next_to(library, name, [one.name for one in result])
         result.append(

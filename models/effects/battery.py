@@ -86,6 +86,7 @@ EFFECTS = (
         channels=("translation",),
         apply=lambda vehicle, values: with_sag(vehicle, values.get("sag", 0.0), values.get("reference")),
         of_the_drive=True,
+        changes_hover=True,
         says="the thrust sags under load (sag {sag}, zero at a load of {reference})",
     ),
     Effect(

@@ -49,6 +49,7 @@ EFFECTS = (
         remedy="Weigh the vehicle with everything it carries, and write the mass into the vehicle file. "
         "Free flight shows only thrust over mass, so no flight can distinguish mass from thrust.",
         channels=("translation",),
+        changes_hover=True,
         says="the vehicle has {scale} times the modelled mass",
         product="the change of thrust over mass; weighing shows which of the two has changed",
         scales_thrust=True,
@@ -90,6 +91,7 @@ EFFECTS = (
         "turns, after which it swings at about sqrt(g/L), distinguish it from a mass.",
         channels=("translation",),
         apply=_slung_load,
+        changes_hover=True,
         says="a load of {mass} swings on a string of {length}",
         product="the weight of the load; the string's length follows from its swing",
         told_by="Weigh the load and measure its string.",

@@ -60,9 +60,10 @@ class Parameter:
     unit: str = "1"
     neutral: float = 0.0  # with this value the effect changes nothing, bit for bit
     bounds: tuple[float, float]  # limits of a fit
-    plausible: float  # a value that a real vehicle may well have
+    plausible: float  # a value that a real vehicle may well have, within the bounds
     negligible: float  # distance from neutral, in the unit, that nobody needs to correct
-    one_signed: bool = False  # below neutral lies no physical cause, only room for the noise of a fit
+    # Below neutral lies no physical cause: the lower bound leaves room only for the noise of a fit.
+    one_signed: bool = False
     # Fields of Vehicle (`field.k`: their number k) that a factor multiplies, or divides where `inverse`, and
     # to which any other parameter is added; see `Effect`. A one-signed effect may also be negative, as far as
     # the first of them stays positive.
@@ -71,12 +72,14 @@ class Parameter:
     # The name under which `landing-eval identify` reports the first field, or 1 over it where `inverse`; "":
     # it reports the parameter itself, under the effect's name.
     reported: str = ""
-    share: bool = False  # reported is the factor itself
-    is_reference: bool = False  # the point about which another parameter acts; any value is neutral
+    share: bool = False  # of a factor: what is reported is the factor itself, not what it multiplies
+    # The point about which the effect's first parameter acts. Any value is neutral while that one is, and it
+    # has no size of its own.
+    is_reference: bool = False
     # For a reference: one size about a value between its bounds acts like two sizes, one about each bound.
     linear: bool = True
-    along_the_arm: bool = False  # a length that goes with the vehicle's arms
-    times: float = 1.0  # factor on its sizes relative to the shipped vehicle
+    along_the_arm: bool = False  # its sizes are proportional to the length of the vehicle's arms
+    times: float = 1.0  # set by `sized_for`: factor on its sizes relative to the shipped vehicle
 
     @property
     def is_factor(self) -> bool:
@@ -233,17 +236,28 @@ class Effect:
     regimes: tuple[str, ...]  # the regimes in which it is visible: see REGIMES
     confused_with: tuple[str, ...]  # effects that ordinary flights do not distinguish from it
     remedy: str  # advice to the user
-    channels: tuple[str, ...]  # in what it shows: see CHANNELS
+    # In what it shows, see CHANNELS. Flights of which none was logged do not have it as a candidate, and one
+    # in touchdowns alone is diagnosed from touchdowns. What shows in `requests`, the motors' commands, is no
+    # longer sought in the attitude where they were logged, and is in doubt where they were not.
+    channels: tuple[str, ...]
     says: str  # part of a sentence; {parameter} stands for its value with unit
     apply: Callable[[Vehicle, Mapping[str, float]], Vehicle] = None  # type: ignore[assignment]
-    # Log channel (or `yaw_rate_command`) -> least change over the flights for it to be identifiable.
+    # Field of `FlightLog` (or `yaw_rate_command`) -> its least change over the flights of a candidate.
     requires: Mapping[str, float] = dataclasses.field(default_factory=dict)
-    of_the_drive: bool = False  # acts between the thrust command and the speed of the rotors
-    is_lag: bool = False  # a lag or a delay, confounded with others in flights recorded at a low rate
-    scales_thrust: bool = False  # free flight shows the ratio of thrust to mass alone
+    # It acts between the thrust command and the speed of the rotors: no candidate where that was measured.
+    of_the_drive: bool = False
+    # A lag or a delay: in doubt in flights recorded at a low rate, and no candidate in strong wind.
+    is_lag: bool = False
+    # Free flight shows it in the ratio of thrust to mass alone: such effects count as one cause.
+    scales_thrust: bool = False
+    # It changes the thrust of a hover command, or the weight: such effects may cancel each other, and thrust
+    # over weight is stated for all of them together.
+    changes_hover: bool = False
     # Effects that MuJoCo's contact model changes along with it but real feet do not: they may be as far off.
     couples_with: tuple[str, ...] = ()
-    of_the_place: bool = False  # of the surroundings: another value on another day or in another room
+    # It belongs to the surroundings and has another value on another day or in another room: an identified
+    # vehicle does not contain it.
+    of_the_place: bool = False
     # Whether `identify` fits it; else it stays as it is: a fault of one part, what ordinary flights hide.
     identified: bool = True
     # Where its size follows only with another constant known, flights show a product: the acceleration that

@@ -29,6 +29,7 @@ EFFECTS = (
         "or "
         "accept the corrected thrust function.",
         channels=("translation",),
+        changes_hover=True,
         says="the rotors give {scale} times the modelled thrust",
         product="the change of thrust over mass; weighing shows which of the two has changed",
         scales_thrust=True,
@@ -47,6 +48,7 @@ EFFECTS = (
         "firmware's base thrust.",
         channels=("translation",),
         of_the_drive=True,
+        changes_hover=True,
         says="a constant {force} is added to the thrust",
         scales_thrust=True,
     ),
@@ -78,6 +80,7 @@ EFFECTS = (
             vehicle, -values.get("curvature", 0.0), values.get("reference")
         ),
         of_the_drive=True,
+        changes_hover=True,
         says="the thrust grows faster than its command (curvature {curvature}, modelled thrust at a load of "
         "{reference})",
     ),

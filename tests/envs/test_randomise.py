@@ -68,7 +68,7 @@ def test_a_file_of_ranges(tmp_path):
     ("", r"contains no range, such as scale = \[0.8, 1.1\] in \[effects.thrust_scale\]"),
     ("nominal = 0.5", "contains no range"),
     ("thrust_scale = [0.8, 1.1]", "thrust_scale is outside any table"),
-    ("[effects.thrust]\nscale = [1, 2]", "unknown effect thrust; choose from 43 names, such as thrust_"),
+    ("[effects.thrust]\nscale = [1, 2]", f"unknown effect thrust; choose from {len(LIBRARY)} names, such"),
     ("[effects.mass]\nfactor = [1, 2]", "effect mass has no parameter factor; choose from scale"),
     ("[effects.mass]\nprobability = 1", "effect mass has no range; its parameters are scale"),
     ("[effects]\nthrust = [1, 2]", "effects.thrust is not an effect with parameters, .* or an entry"),

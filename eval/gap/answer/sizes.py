@@ -29,8 +29,6 @@ from inclined_landing.models.attitude_loops import angle_steps
 from inclined_landing.models.vehicle import Vehicle
 
 STEP_RESPONSE, STEP = 2.0, 0.001  # s, length and step of the simulated answer of an attitude loop
-# Effects of the thrust in hover, or of the weight.
-WEIGHT = ("thrust_scale", "thrust_bias", "thrust_curve", "battery_sag", "mass", "slung_load")
 
 
 def estimates(found: SetPosterior, values: Values) -> dict[str, dict[str, Estimate]]:
@@ -213,7 +211,8 @@ def thrust_over_weight(found: SetPosterior, values: Values) -> Quantity | None:
 
 def thrust_of_names(found: SetPosterior, values: Values) -> Quantity | None:
     """Return `thrust_over_weight` with the identified vehicle's taken as known."""
-    problem, names = found.problem, [name for name in WEIGHT if name in values]
+    problem = found.problem
+    names = [name for name, effect in problem.library.items() if effect.changes_hover and name in values]
     ratios = [name for name in names if problem.library[name].parameters[0].neutral == 1.0]
     if not names or names == ratios[:1]:
         return None
@@ -228,7 +227,7 @@ def _thrust_ratio(problem: Problem, at: Values, vehicle: Vehicle | None = None) 
     """Return thrust over weight at the usual command, over the modelled one, of a vehicle with effects."""
     usual = float(np.median(np.concatenate([f.command[f.usable, 0] for f in problem.flights])))
     changed = Candidates(vehicle or problem.vehicle, problem.library)
-    its = {n: at[n] for n in WEIGHT if n in at}
+    its = {n: at[n] for n, effect in problem.library.items() if effect.changes_hover and n in at}
     gravity = problem.vehicle.environment_gravity
     thrust, before = (float(c.hover_acceleration(v, usual)[2]) for c, v in ((changed, its), (problem, {})))
     return (thrust + gravity) / (before + gravity)
@@ -237,7 +236,7 @@ def _thrust_ratio(problem: Problem, at: Values, vehicle: Vehicle | None = None) 
 def _reference_half_width(problem: Problem) -> float:
     """Return the half-width of the interval of the identified vehicle's own thrust over weight, over it."""
     # Propagation of errors, as `propagated`
-    names = [name for name in WEIGHT if name in problem.library]
+    names = [name for name, effect in problem.library.items() if effect.changes_hover]
     columns = [c for c in problem.columns(names) if isinstance(c, ParameterColumn)]
     moved = [problem.one_sided_difference({}, c) for c in columns]
     slope = np.array([(_thrust_ratio(problem, {}, vehicle) - 1.0) / step for vehicle, step in moved])

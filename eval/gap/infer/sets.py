@@ -28,13 +28,21 @@ from inclined_landing.eval.gap.infer.gaussian import (
     flight_weights,
     prior_share,
 )
-from inclined_landing.eval.gap.model.columns import Column, FittedValues, ParameterColumn, Values, fitting
+from inclined_landing.eval.gap.model.columns import (
+    FITTING,
+    Column,
+    FittedValues,
+    ParameterColumn,
+    Values,
+    fitting,
+)
 from inclined_landing.eval.gap.model.problem import Linearisation, Problem
 from inclined_landing.eval.gap.result import ScoredSet, marginal
 
 REDUNDANT = (  # of these one is a combination of the others
     frozenset(("mass", "thrust_scale")),  # free flight shows the ratio of thrust to mass alone
-    frozenset(("thrust_delay", "attitude_delay", "mocap_delay")),  # poses are late, or all commands
+    # Such as late poses, which are late commands of the thrust and of the attitude.
+    *(frozenset((name, *of.same_as)) for name, of in FITTING.items() if of.same_as),
     frozenset(("attitude_trim", "mocap_tilt", "level_calibration")),  # a tilted estimate is trim and tilt
     # The lost torque of a rotor belongs to that rotor alone.
     *(frozenset((f"weak_rotor_{k}", "yaw_imbalance")) for k in range(1, 5)),

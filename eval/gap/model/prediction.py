@@ -20,6 +20,7 @@ import numpy as np
 
 from inclined_landing.eval.gap.measured.windows import REQUEST_SIGNS
 from inclined_landing.eval.gap.model.swing import Starts, pulled
+from inclined_landing.models import plugins
 from inclined_landing.models.attitude import PWM, ROLL_COMMAND, YAW_RATE_COMMAND, entries, tilted
 from inclined_landing.models.attitude_loops import angle_steps, integrated_steps, yaw_steps
 from inclined_landing.models.compiled import inlined, unlocked
@@ -53,11 +54,9 @@ CHANNEL_GROUPS = {
     "requests": slice(6, 9),
 }
 _NEUTRAL = np.array(NEUTRAL)
-# Constants that act in the attitude loops alone, beside those of the table `attitude`.
-_OF_THE_LOOPS = {
-    *(f"effects_attitude_{n}" for n in ("delay", "hold", "integral", "saturation", "trim")),
-    *("effects_estimator_lean", "effects_yaw_drift"),
-}
+# Constants that act in the attitude loops alone, beside those of the table `attitude`: those of their plugin,
+# and the delay of their commands.
+_OF_THE_LOOPS = {*plugins.fields()["attitude"].values(), "effects_attitude_delay"}
 _fields = [f.name for f in dataclasses.fields(Vehicle)]
 _of_loops = [n for n in _fields if n in _OF_THE_LOOPS or n.startswith("attitude_")]
 _translation = attrgetter(*(n for n in _fields if n not in _of_loops))  # of a vehicle: all that it depends on
