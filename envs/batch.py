@@ -287,9 +287,11 @@ class BatchEnv:
         if not np.isfinite(actions).all():
             raise UserError("an action is NaN or infinite")
         self.actions = np.clip(actions, -1.0, 1.0)
-        centres = None if self._hover_pwm is None else self._hover_pwm[self.plant.choice]
         measurement = self.plant.measurement
-        self.commands = self.task.commands(self.actions, *(() if centres is None else (centres,)))
+        if self._hover_pwm is None:  # a custom task's `commands` may take the actions alone
+            self.commands = self.task.commands(self.actions)
+        else:
+            self.commands = self.task.commands(self.actions, self._hover_pwm[self.plant.choice])
         self.commands = self.task.body_commands(self.commands, measurement, self.plant.platform)
         if self.task.history:
             self.past.record(self._present(measurement), self.actions)
@@ -300,9 +302,15 @@ class BatchEnv:
         self.length += 1
         self.contact_steps += contacts.platform_near
         self.touched |= contacts.platform
-        records = self._start, self.length, self.contact_steps, self.held_steps
         context = StepContext(
-            self.plant.state, contacts, self.actions, *records, platform=self.plant.platform
+            state=self.plant.state,
+            contacts=contacts,
+            actions=self.actions,
+            start=self._start,
+            length=self.length,
+            in_contact=self.contact_steps,
+            held_steps=self.held_steps,
+            platform=self.plant.platform,
         )
         verdict: Evaluation = self.task.evaluate(context)
         if verdict.holding is not None:

@@ -47,7 +47,7 @@ def report(folder: Path, metrics: dict, vehicle: Path | None, curriculum: Stages
         return load_policy(policy, vehicle=None if vehicle is None else load_vehicle(vehicle))
 
     final = load(folder / "final.zip")
-    filmed = in_fork(_film, final, folder)
+    filmed = in_fork(_film, final, folder)  # a process renders, `filmed()` waits for it
     with ThreadPoolExecutor(1) as pool:  # beside the table, whose time is the engine's
         figures = pool.submit(_draw, folder, final, curriculum)
         name, study = _study(final, metrics, load)
@@ -58,7 +58,8 @@ def report(folder: Path, metrics: dict, vehicle: Path | None, curriculum: Stages
     for path in files:
         print(path)
     storage.write_json(folder / f"{name}.json", document(name, results))
-    metrics["success"] = {"final": results[0].all(results[0].study.views[0].measures[0])}
+    main = study.views[0].measures[0]  # says how often the task is done
+    metrics["success"] = {"final": results[0].all(main)}
     storage.write_json(folder / "metrics.json", metrics)  # last: it says that the report is whole
     show(results)
     say(f"The report of this run is in {folder}.")

@@ -16,6 +16,10 @@ from inclined_landing.envs.shared.progress import Tick
 from inclined_landing.models.base.errors import UserError
 from inclined_landing.train.curriculum import Curriculum
 
+LEAST_RATE = 1e-3  # of the initial learning rate, below which no curriculum takes it
+# Parts of the names of the actor's parameters in SB3's `ActorCriticPolicy`.
+ACTOR = ("policy_net", "action_net", "log_std")
+
 
 class TimeSpent:
     """Separate seconds of training, evaluation and video, continued after a resume.
@@ -86,14 +90,15 @@ class CurriculumCallback(BaseCallback):
     def _apply(self) -> None:
         conditions = self.curriculum.conditions()
         if conditions is not None:
+            # SB3 calls methods of its environments by their names.
             self.training_env.env_method("set_conditions", conditions)
         gamma = self.curriculum.gamma(self.num_timesteps)
         self.model.gamma = gamma
         if isinstance(self.model, OnPolicyAlgorithm):
             self.model.rollout_buffer.gamma = gamma
         share = self.curriculum.learning_rate_share(self.num_timesteps, self.total)
-        rate = max(self.rate * share * self.curriculum.pace, 1e-3 * self.rate)
-        self.model.lr_schedule = lambda _: rate
+        rate = max(self.rate * share * self.curriculum.pace, LEAST_RATE * self.rate)
+        self.model.lr_schedule = lambda _: rate  # SB3 asks by the share of steps that remain
 
 
 class LearningCurve(_BetweenRollouts):
@@ -172,7 +177,7 @@ class CriticFirst(_BetweenRollouts):
     def _on_rollout_start(self) -> None:
         learns = self.num_timesteps >= self.steps
         for name, parameter in self.model.policy.named_parameters():
-            if any(part in name for part in ("policy_net", "action_net", "log_std")):
+            if any(part in name for part in ACTOR):
                 parameter.requires_grad_(learns)
 
 

@@ -47,24 +47,27 @@ def _train(arguments: list[str]) -> int:
     config = command_line.parse(TrainConfig, "landing-train", arguments)
     from inclined_landing.train.run import NOT_REACHED, Run
 
+    # The options that were typed: with --resume only these may contradict the run.
     flags = command_line.given(arguments)
     run = Run(config, {field.name for field in dataclasses.fields(config) if flag_of(field.name) in flags})
+    # --no-report counts whether this command has it or, with --resume, the one that began the run.
     due = config.report and run.config.report and not (run.metrics and "success" in run.metrics)
     if run.metrics is not None:
         print(f"the run in {shown(run.folder)} is finished{'; its report is missing' if due else ''}")
     metrics = run.execute()
-    reached = metrics.get("reached")
-    if reached is not False:
+    reached = metrics.get("reached")  # None: the run has a fixed length
+    missed = reached is False
+    if missed:
+        more = "" if metrics["finished"] else "; add --resume with the same --out to continue"
+        print(f"landing-train: {metrics['ended']}{more}", file=sys.stderr)
+    else:
         word = "Training succeeded" if reached else "Training"
         print(
             f"{word}: {metrics['ended']}. The policy is {shown(run.folder / 'final.zip', 100)}.", flush=True
         )
-    else:
-        more = "" if metrics["finished"] else "; add --resume with the same --out to continue"
-        print(f"landing-train: {metrics['ended']}{more}", file=sys.stderr)
     if due:
         _report(run, metrics)
-    return NOT_REACHED if reached is False else 0
+    return NOT_REACHED if missed else 0
 
 
 def help_page(complete: bool) -> str:

@@ -242,9 +242,8 @@ def resolve(config: TrainConfig) -> TrainConfig:
     schema.check(config, None, flag_of)
     config = dataclasses.replace(config, task=config.task or "landing")
     kind = import_task(config.task) if is_path(config.task) else task_class(config.task)
-    training = kind.training
     try:
-        training.check()
+        kind.training.check()
     except UserError as error:  # of a task of one's own
         raise UserError(f"task {shown(config.task, 60)}, its training: {error}") from error
     for name in config.task_options():
@@ -253,33 +252,34 @@ def resolve(config: TrainConfig) -> TrainConfig:
 
     # In the plane, unless the task draws vehicles in space alone and nothing asks for the plane.
     dimensions, start = config.dimensions, config.start_from
-    if dimensions is None and not config.nominal and kind.drawn_vehicles == (3,):
+    if dimensions is None and not config.nominal and kind.draws_vehicles_in == (3,):
         in_space = start in (None, DESCENT) or trained_options(start).get("dimensions") == 3
         dimensions = 3 if in_space else None
 
     if config.nominal and config.randomise is not None:
         raise UserError("--nominal and --randomise cannot be combined")
-    training = _usual(config, kind, dimensions or 2)
-    randomise = config.randomise or training.randomise
-    if randomise is not None and (config.steps is not None or training.success is None):
-        training = dataclasses.replace(training, evaluate_every=VARIED)
+    usual = _usual(config, kind, dimensions or 2)
+    randomise = config.randomise or usual.randomise
+    if randomise is not None and (config.steps is not None or usual.success is None):
+        # No evaluation ends a run of a fixed length, so that fewer are enough.
+        usual = dataclasses.replace(usual, evaluate_every=VARIED)
 
     options = {field.name for field in dataclasses.fields(config)} - {"randomise"}
-    named = [field.name for field in dataclasses.fields(training) if field.name in options]
-    chosen = {name: getattr(config, name) for name in named if getattr(config, name) is not None}
-    learning = dataclasses.replace(training, **chosen)
+    shared = [field.name for field in dataclasses.fields(usual) if field.name in options]
+    given = {name: getattr(config, name) for name in shared if getattr(config, name) is not None}
+    learning = dataclasses.replace(usual, **given)
     schema.check(learning, None, flag_of)
-    values: dict[str, Any] = {name: getattr(learning, name) for name in named if name not in ENDING}
+    values: dict[str, Any] = {name: getattr(learning, name) for name in shared if name not in ENDING}
 
     # Training that continues from a policy keeps its actions and network; for the same task, its history too.
     policy = None if learning.start_from == DESCENT else learning.start_from
-    same = policy if policy is not None and trained_task(policy) == kind.name else None
-    before = {} if same is None else trained_options(same)
-    values |= _ending(config, training, training.min_steps if same is None else CARRIED_ON)
-    if same is not None and config.history is None:
+    same_task = policy is not None and trained_task(policy) == kind.name
+    before = trained_options(policy) if policy is not None and same_task else {}
+    values |= _ending(config, usual, CARRIED_ON if same_task else usual.min_steps)
+    if same_task and config.history is None:
         values["history"] = before.get("history", 0)
     values["observe_vehicle"] = config.observe_vehicle or bool(before.get("observe_vehicle"))
-    values |= _action_map(config, policy, training.all_commands)
+    values |= _action_map(config, policy, usual.all_commands)
     values["net_arch"] = tuple(config.net_arch or _net_arch(policy) or NET_ARCH)
 
     samples = values["environments"] * values["rollout"]
@@ -302,7 +302,7 @@ def _usual(config: TrainConfig, kind: type[Task], dimensions: int) -> Training:
     from inclined_landing.envs.tasks.training import in_case
 
     training = kind.training
-    is_drawn = dimensions in kind.drawn_vehicles and config.fastest is None and not config.nominal
+    is_drawn = dimensions in kind.draws_vehicles_in and config.fastest is None and not config.nominal
     if training.start_from == DESCENT:
         training = in_case(training, "touchdown", "touchdown" if dimensions == 3 else "touchdown-2d")
     elif is_drawn:

@@ -11,7 +11,7 @@ import copy
 import dataclasses
 from collections import deque
 from collections.abc import Callable
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -19,16 +19,23 @@ from inclined_landing.envs.tasks import setpoint, task_class, touchdown
 from inclined_landing.envs.tasks.landing import AIDED, EASIEST_GOAL_SIZE, GOAL_SIZE, LandingConditions
 from inclined_landing.models.base.errors import UserError, shown
 
-# Environment steps over which the learning rate falls in a run ended by success: usually, and on drawn
-# vehicles in the plane; and its share from then on.
-SETTLING, SETTLED = (400_000, 350_000), 0.1
-# Restarts of the learning rate after which such a run ends although it does not land all varied vehicles:
-# usually, and on drawn vehicles in the plane from scratch. In space a restart costs a million steps and gains
-# little.
-RESTARTS = (0, 2)
-# Success at which the adaptive curriculum goes on, and below which it goes back: usually, and on drawn
-# vehicles in the plane, of which nobody lands all.
-GATE, FLOOR = (0.7, 0.5), (0.4, 0.3)
+SETTLED = 0.1  # share of the learning rate at which a run that is ended by success settles
+
+
+class Rules(NamedTuple):
+    """What a curriculum that depends on success, and the end of its run, depend on."""
+
+    settling: int  # environment steps over which the learning rate falls to SETTLED
+    # Restarts of the learning rate after which a run ends although it does not land all varied vehicles.
+    restarts: int
+    gate: float  # success at which the curriculum goes on
+    floor: float  # and below which it goes back
+
+
+USUAL = Rules(settling=400_000, restarts=0, gate=0.7, floor=0.4)
+# On drawn vehicles in the plane, of which nobody lands all. In space a restart costs a million steps and
+# gains little.
+DRAWN = Rules(settling=350_000, restarts=2, gate=0.5, floor=0.3)
 # Of `BalancedCurriculum`: share of gate and floor that success from either side of the goal must exceed; the
 # Kullback-Leibler divergence between the policies before and after an update that the learning rate is
 # adapted to, and the factor by which it then changes; steps after the first success from which on policies
@@ -81,8 +88,8 @@ class Curriculum:
     def __init__(self, gamma: float | str, the_task: Any = None):
         """gamma: a number, or RISING; the_task: conditions of training without a curriculum."""
         self._gamma, self._the_task = gamma, the_task
-        self.settling = SETTLING[0]
-        self.restarts, self.most_restarts = 0, RESTARTS[0]  # of the learning rate, to its initial value
+        self.settling = USUAL.settling
+        self.restarts, self.most_restarts = 0, USUAL.restarts  # of the learning rate, to its initial value
         self._without: list[str] = []  # fields of the conditions that are the task's from the first step on
 
     def stage(self) -> Any:
@@ -202,8 +209,8 @@ class AdaptiveCurriculum(Curriculum):
         gamma: float | str = 0.98,
         *,
         window: int = 60,
-        gate: float = GATE[0],
-        floor: float = FLOOR[0],
+        gate: float = USUAL.gate,
+        floor: float = USUAL.floor,
         step: float = 0.08,
         creep: float = 0.003,
         back: float = 0.01,
@@ -252,7 +259,7 @@ class AdaptiveCurriculum(Curriculum):
     def skip(self) -> None:
         # At the full learning rate, until success on this vehicle passes the gate. Few of its variants may be
         # able to land.
-        self.level, self.most_restarts = 1.0, RESTARTS[0]
+        self.level, self.most_restarts = 1.0, USUAL.restarts
 
     def learn_again(self) -> None:
         super().learn_again()
@@ -291,7 +298,7 @@ class BalancedCurriculum(AdaptiveCurriculum):
     averaging, least_noise = AVERAGING, LEAST_NOISE
 
     def __init__(self, gamma: float | str):
-        super().__init__(gamma, gate=GATE[1], floor=FLOOR[1])
+        super().__init__(gamma, gate=DRAWN.gate, floor=DRAWN.floor)
         window = self.recent.maxlen or 0
         self.left: deque[bool] = deque(maxlen=window // 2)
         self.right: deque[bool] = deque(maxlen=window // 2)
@@ -313,7 +320,7 @@ class BalancedCurriculum(AdaptiveCurriculum):
             super().advance(steps)
         elif self.worse > EITHER_SIDE * self.floor:
             self.level = min(1.0, self.level + self.creep)
-        if not self.recent:  # at another level
+        if not self.recent:  # the level has risen, which empties the window
             self.left.clear()
             self.right.clear()
 
@@ -486,9 +493,14 @@ def make_curriculum(
         known = " or ".join([", ".join(kind.curricula[:-1]), kind.curricula[-1]][-len(kind.curricula) :])
         raise UserError(f"unknown curriculum {name!r} for task {task}: it must be {known}")
     curriculum = Curriculum(gamma, kind.training_conditions) if name == "none" else _CURRICULA[name](gamma)
-    if drawn and isinstance(curriculum, AdaptiveCurriculum) and curriculum.name != BalancedCurriculum.name:
-        curriculum.gate, curriculum.floor = GATE[1], FLOOR[1]
-        curriculum.settling, curriculum.most_restarts = SETTLING[1], RESTARTS[1]
+    # The balanced one has gate and floor of drawn vehicles already, and ends by READY and PATIENT.
+    if (
+        drawn
+        and isinstance(curriculum, AdaptiveCurriculum)
+        and not isinstance(curriculum, BalancedCurriculum)
+    ):
+        curriculum.gate, curriculum.floor = DRAWN.gate, DRAWN.floor
+        curriculum.settling, curriculum.most_restarts = DRAWN.settling, DRAWN.restarts
     if without:
         curriculum.leave_out([part.strip() for part in without.split(",")])
     return curriculum

@@ -40,6 +40,7 @@ class Ending:
         """
         if self.config.success is None or steps < (self.config.min_steps or 0):
             return False
+        # A plateau stands for success with varied vehicles, never for that with the nominal one.
         plateau = self.curriculum.restarts >= self.curriculum.most_restarts and self._rises_no_more()
         return self._succeeds(["nominal"] if plateau else VEHICLE_KINDS)
 

@@ -48,9 +48,10 @@ class PeriodicEvaluation:
             pool = read_ranges(config.randomise).each_alone(self.task.vehicle)
             options |= ppo.pool_options(pool, self.seed)
         self.plant = make_plant("hybrid", count, self.task.vehicle, **options)
+        self.is_varied = np.arange(count) % 3 > 0  # flights of the pool's vehicles, if there is one
         if self.plant.pool:
-            others = np.flatnonzero(np.arange(count) % 3)
-            self.plant.assign(others, 1 + np.arange(len(others)) % len(self.plant.pool))
+            varied = np.flatnonzero(self.is_varied)
+            self.plant.assign(varied, 1 + np.arange(len(varied)) % len(self.plant.pool))
         if is_path(config.task):
             self.rehearse()
 
@@ -85,8 +86,8 @@ class PeriodicEvaluation:
         )
         score = self.task.score(flights)
         if self.plant.pool:
-            kinds = {"nominal": flights[::3], "varied": [f for k, f in enumerate(flights) if k % 3]}
-            for kind, some in kinds.items():
+            for kind, chosen in (("nominal", ~self.is_varied), ("varied", self.is_varied)):
+                some = [flights[k] for k in np.flatnonzero(chosen)]
                 score |= {f"{name}_{kind}": value for name, value in self.task.score(some).items()}
         return score
 

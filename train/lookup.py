@@ -1,4 +1,7 @@
-"""Functions of `eval` that training looks up by name, so that it runs without that extra installed."""
+"""The functions of `eval` that training calls, looked up by name: `train` imports nothing of `eval`.
+
+It so runs without the packages that only `eval` needs.
+"""
 
 from __future__ import annotations
 

@@ -49,9 +49,10 @@ def training_environment(config: TrainConfig) -> BatchVecEnv:
     task = build_task(config)
     options: dict[str, Any] = {"keep_out": task.training.keep_out if task.has_platform else 0.0}
     if config.plant != "analytic":
-        # Where contact ends an episode few vehicles at a time are in the engine, so one thread is enough.
+        # Where contact ends an episode few vehicles at a time are in the engine, so one thread is enough; 0
+        # threads are those of all cores.
         few = config.plant == "hybrid" and options["keep_out"] > 0.0 and config.environments <= _FEW
-        options |= {"integrator": task.training.integrator, "threads": config.threads or int(few)}
+        options |= {"integrator": task.training.integrator, "threads": config.threads or (1 if few else 0)}
     nominal = None
     if config.randomise is not None:
         ranges = read_ranges(config.randomise)

@@ -56,7 +56,7 @@ def train(config: TrainConfig) -> tuple[Path, dict]:
 
 
 class _Reached(Exception):
-    """Raised when the desired success rate is reached."""
+    """Raised by a callback when the desired success rate is reached, to leave the model's `learn`."""
 
 
 class Run:
@@ -93,6 +93,7 @@ class Run:
         if saved is not None:
             checkpoint.resume(saved, self.learner, self.evaluation, self.record["config"])
             self.begun_at = self.learner.steps // self.config.per_iteration
+        # Only now: `checkpoint.resume` replaces both lists of rows, and the ending follows them as they grow.
         learner, rows = self.learner, self.evaluation.rows
         self.ending = Ending(self.config, learner.curriculum, learner.history, rows)
         self.metrics = None if saved is None else self._finished()
@@ -133,7 +134,7 @@ class Run:
             storage.write_bytes(self.folder / "best.zip", self.evaluation.best)
 
     def _learn(self) -> None:
-        """Train until the end, with all callbacks."""
+        """Train until the end, in SB3's `learn`: all else, the end of a run too, is done by callbacks."""
         config, learner, model = self.config, self.learner, self.learner.model
         begun, resumed = learner.steps, self.begun_at is not None
         events = EventFile(self.folder / "tensorboard", begun if resumed else None)
@@ -152,7 +153,12 @@ class Run:
             model.logger.close()
 
     def _callbacks(self, tick: Tick) -> list[BaseCallback]:
-        """Return what happens between the iterations, in this order."""
+        """Return what happens between the iterations, in this order.
+
+        After a rollout the curriculum moves before the curve has its level. Before the next one, the curve
+        refuses weights that are not finite before they are evaluated or saved, and the checkpoint contains
+        the evaluation.
+        """
         config, learner = self.config, self.learner
         assert config.learning_rate is not None and config.evaluate_every is not None
         first = 0 if self.begun_at is None else self.begun_at + 1

@@ -31,7 +31,7 @@ class SpaceLanding(SlopeLanding):
     observation_scale = SEEN_SCALE
     action_names = ("thrust", "roll", "pitch")
     is_planar = False
-    drawn_vehicles = (3,)
+    draws_vehicles_in = (3,)
     columns = np.arange(len(SEEN))
     least = 0.0
 

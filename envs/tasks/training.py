@@ -131,7 +131,7 @@ def in_case(training: Training, usual: str, case: str) -> Training:
     """Return a task's training with the values in which the column `case` differs from `usual`, the task's.
 
     A custom task that derives from a shipped one may have its own training: values other than the defaults
-    stay.
+    stay. One that it states and that equals the default counts as left out.
     """
     before, values, plain = vars(DEFAULTS[usual]), vars(DEFAULTS[case]), vars(Training())
     changes = {

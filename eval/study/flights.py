@@ -122,6 +122,7 @@ def _fly_batch(
 ) -> Iterator[pd.DataFrame]:
     """Yield what `fly_each` does; the flights of all variants are simulated together."""
     task, n = policy.task, len(starts)
+    # One variant flies from all starts, then the next; 0 chooses the task's own vehicle, 1 the pool's first.
     variant, start = np.divmod(np.arange(n * len(variants)), n)  # of each flight
     vehicles, scales = zip(*variants)
     pool = list(dict.fromkeys(vehicle for vehicle in vehicles if vehicle != task.vehicle))

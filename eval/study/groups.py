@@ -53,6 +53,8 @@ def study(
     if task.cut_at_success:
         at_entry = "At entry into the goal box, and after cutting the motors there (frozen starts)"
         views.append(View(("policy", "thrust_scale"), ARRIVAL, at_entry, across=True))
+    # All scales of a policy fly together. Its generator yields their tables in the order of the cases, in
+    # which the engine asks for them.
     flown = {name: _fly(policy, plant, thrust_scales, seed) for name, policy in policies.items()}
     return Study(
         name=f"success_{task.name}",
@@ -87,6 +89,7 @@ def _remarks(policies: Mapping[str, Policy], results: Results) -> list[str]:
     for name, policy in policies.items():
         measure = policy.task.measures[0]
         rows = results.all(measure, policy=name)
+        # Of the last group of starts: for landings, the frozen ones.
         rows = [row for row in rows if row["starts"] == rows[-1]["starts"]]
         parts = [
             f"{'' if row['thrust_scale'] == 1.0 else 'at thrust x {:g} it '.format(row['thrust_scale'])}"

@@ -152,7 +152,7 @@ class FastPPO(PPO):
         default = {"optimizer_class": Adam, "optimizer_kwargs": {"eps": 1e-5}}  # SB3's default epsilon
         self.policy_kwargs = {**default, **asked}
         super()._setup_model()
-        self.policy_kwargs = asked  # files name nothing of this module
+        self.policy_kwargs = asked  # SB3 writes them to files, which must not name this module's Adam
         self._check()
 
     def _check(self) -> None:
