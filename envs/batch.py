@@ -302,16 +302,9 @@ class BatchEnv:
         self.length += 1
         self.contact_steps += contacts.platform_near
         self.touched |= contacts.platform
-        context = StepContext(
-            state=self.plant.state,
-            contacts=contacts,
-            actions=self.actions,
-            start=self._start,
-            length=self.length,
-            in_contact=self.contact_steps,
-            held_steps=self.held_steps,
-            platform=self.plant.platform,
-        )
+        state, platform, start = self.plant.state, self.plant.platform, self._start
+        past = {"length": self.length, "in_contact": self.contact_steps, "held_steps": self.held_steps}
+        context = StepContext(state, contacts, self.actions, start, **past, platform=platform)
         verdict: Evaluation = self.task.evaluate(context)
         if verdict.holding is not None:
             self.held_steps = np.where(verdict.holding, self.held_steps + 1, 0)

@@ -1,4 +1,4 @@
-"""Fixed scaling of the observations inside the policy network.
+"""The features extractor of policy networks: it scales observations by fixed numbers.
 
 A policy file therefore takes the task's raw observation and needs no separate statistics.
 """

@@ -40,8 +40,8 @@ class Policy:
     weights: tuple[np.ndarray, ...]  # (inputs, outputs) of each layer
     biases: tuple[np.ndarray, ...]  # (outputs,)
     activation: str
-    squashed: bool = False  # is tanh taken of the last layer, as SAC and TD3 do
-    bound: float = np.inf  # and of what is beyond this before, no more
+    squashed: bool = False  # whether the last layer ends with a tanh, as those of SAC and TD3 do
+    bound: float = np.inf  # pre-activations of the last layer are clipped to +-bound before the tanh
 
     def __post_init__(self):
         """Raise UserError unless the arrays form one network with finite numbers."""

@@ -1,1 +1,4 @@
-"""Evaluation: each subpackage contains commands of `landing-eval`, in modules of the same names."""
+"""Evaluation: the commands of `landing-eval`, in the modules that `cli.GROUPS` lists, and what they share.
+
+`after_training` is the report of `landing-train`.
+"""

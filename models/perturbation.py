@@ -1,4 +1,4 @@
-"""Per-vehicle deviations from the nominal model, with one meaning in both plants.
+"""Perturbations: constant deviations of each vehicle from the nominal model, with one meaning in all plants.
 
 A perturbation is one row of an (n, 7) array. The neutral row changes nothing, bit for bit.
 """

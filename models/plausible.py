@@ -1,4 +1,4 @@
-"""Consistency checks of the values of a vehicle; the range of each value is in `crazyflie.toml`.
+"""Checks that a vehicle is plausible: its values fit each other; the range of each is in `crazyflie.toml`.
 
 `contradictions` yields a sentence for each pair that is inconsistent. All limits allow for every quadrotor of
 5 g to 5 kg and for the values that fits of effects try; a refused value is a typing error or cannot be

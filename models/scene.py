@@ -43,8 +43,8 @@ _WALL_HALF_THICKNESS = 0.045  # m; out of a touch that is less deep, the engine 
 _JOINT_INERTIA = 1e5
 _SOLVER_TOLERANCE = 1e-15
 # A slung load: the share of its moment of inertia that its own size adds, the least moment that the engine
-# takes [kg m2], and the mass [kg] that stands for none (3e-9 of a Crazyflie's); it is drawn as large as sand
-# of its mass.
+# accepts [kg m2], and the mass [kg] of a load that is not there (3e-9 of a Crazyflie's). It is drawn with the
+# density of sand.
 _POINT, _LEAST_INERTIA, _NO_LOAD = 1e-7, 1e-13, 1e-10
 _LOAD_DENSITY = 2000.0  # kg/m3, drawn
 _STRING_RADIUS = 0.0015  # m, drawn

@@ -89,7 +89,7 @@ def _report(run: Run, metrics: dict) -> None:
     from inclined_landing.train.run import VEHICLE
 
     try:
-        report = look_up("report")
+        report = look_up("after_training.report")
     except UserError as error:
         again = "; after that, the same command with --resume writes it"
         print(f"landing-train: no report, because {error}{again}", file=sys.stderr)

@@ -39,9 +39,7 @@ COMMON = (
     *("randomise", "nominal", "plant", "net_arch", "resume", "report"),
 )
 CARRIED_ON = 100_000  # min_steps of a run that goes on from a policy of its task
-VARIED = (
-    32  # iterations between evaluations of a run of a fixed length with drawn vehicles, which take longer
-)
+VARIED = 32  # iterations between the longer evaluations of runs of a fixed length with drawn vehicles
 NET_ARCH = (64, 64)
 DESCENT = "descent"  # in place of a policy in --from: the feedback law of the module of this name
 FOR_PLANE = "landing-nominal"  # the policy that replaces it in the plane

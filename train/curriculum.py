@@ -26,10 +26,9 @@ class Rules(NamedTuple):
     """What a curriculum that depends on success, and the end of its run, depend on."""
 
     settling: int  # environment steps over which the learning rate falls to SETTLED
-    # Restarts of the learning rate after which a run ends although it does not land all varied vehicles.
-    restarts: int
-    gate: float  # success at which the curriculum goes on
-    floor: float  # and below which it goes back
+    restarts: int  # of the learning rate, after which a run ends without landing all varied vehicles
+    gate: float  # success above which the curriculum goes on
+    floor: float  # success below which it goes back
 
 
 USUAL = Rules(settling=400_000, restarts=0, gate=0.7, floor=0.4)
@@ -175,10 +174,8 @@ class Curriculum:
     def restore(self, state: dict) -> None:
         """Continue from a `state`."""
         for name in self.state():
-            before = getattr(self, name)
-            setattr(
-                self, name, deque(state[name], before.maxlen) if isinstance(before, deque) else state[name]
-            )
+            before, value = getattr(self, name), state[name]
+            setattr(self, name, deque(value, before.maxlen) if isinstance(before, deque) else value)
 
 
 def _shown(c: LandingConditions) -> dict[str, float]:

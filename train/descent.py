@@ -21,24 +21,29 @@ from inclined_landing.models import surface
 from inclined_landing.models.attitude import LAG, PITCH, ROLL, VX, VZ, X, Y, Z
 from inclined_landing.models.forces import settled_hover
 
-TIMES = np.linspace(0.3, 2.5, 45)  # s that a trajectory may take
-PRICE = 1e6  # of a second, in the integral of the squared snap [m2/s7]
-CHECKED = np.linspace(0.1, 1.0, 8)  # of a trajectory's time, where it is checked
-LIFT = (0.3, 1.7)  # of a trajectory, thrust in weights
-# A trajectory ends a little inside the platform, so that it does not hover above.
-DEPTH, SINK = 0.02, 0.25  # m under the height at rest, and m/s into the platform
-UPHILL = 0.08  # s, times gravity along the slope: speed uphill, which gravity takes back while it bounces
-SLACK = 0.01  # m further down that a trajectory is not refused for
-CONE, APEX = 0.5, 0.1  # height of a trajectory over the platform, per m beyond `APEX` m from its centre
-EDGE = 0.1  # m around the slab where it keeps it
-ABOVE, DOWNHILL = 0.45, 0.08  # m along the normal; s2, times gravity along the slope: where one is found
-CLEAR = 0.35  # m over the platform's plane, that are kept on the flight there
-STIFFNESS, DAMPING, FARTHEST = 9.0, 5.0, 0.6  # of that flight: 1/s2, 1/s, and m that are pulled at most
-AHEAD = 0.06  # s ahead of now, where a trajectory is read
-LARGEST = 8.0  # m/s2 of lead for the attitude loop, along each axis
-SPOOL = 0.065  # s that thrust leads by, for the motors
-CUT_HEIGHT, CUT_ASIDE = 0.03, 0.35  # m over the height at rest and beside the centre, where the motors stop
-LEAST_THRUST = -0.8  # action in flight: clear of idle
+TIMES = np.linspace(0.3, 2.5, 45)  # s, the durations that are tried
+PRICE = 1e6  # cost of a second, in units of the integral of the squared snap [m2/s7]
+CHECKED = np.linspace(0.1, 1.0, 8)  # shares of the duration at which a trajectory is checked
+LIFT = (0.3, 1.7)  # least and largest thrust of a trajectory, in weights
+# A trajectory ends DEPTH m below the height at rest, so that the vehicle does not hover above the platform,
+# with SINK m/s into it, and uphill with gravity along the slope times UPHILL s, which a bounce takes back.
+DEPTH, SINK, UPHILL = 0.02, 0.25, 0.08
+SLACK = 0.01  # a trajectory may pass this far [m] below its lower limit without being refused
+CONE, APEX = 0.5, 0.1  # that limit rises by CONE m per m beyond APEX m from the platform's centre
+EDGE = 0.1  # m, to which it extends beyond the edges of the slab
+# Without a trajectory the vehicle flies to a point ABOVE m along the normal, and downhill by gravity along
+# the slope times DOWNHILL s2. It stays CLEAR m over the platform's plane, pulled by STIFFNESS 1/s2 times a
+# distance of at most FARTHEST m, with a damping in 1/s.
+ABOVE, DOWNHILL, CLEAR = 0.45, 0.08, 0.35
+STIFFNESS, DAMPING, FARTHEST = 9.0, 5.0, 0.6
+AHEAD = 0.06  # s ahead of now, at which a trajectory is read
+LARGEST = 8.0  # m/s2, limit of the lead for the attitude loop along each axis
+SPOOL = 0.065  # s, lead of the thrust for the lag of the motors
+CUT_HEIGHT, CUT_ASIDE = (
+    0.03,
+    0.35,
+)  # m over the height at rest and beside the centre, within which motors stop
+LEAST_THRUST = -0.8  # least thrust action in flight, clear of idle
 
 
 class Descent:

@@ -1,4 +1,4 @@
-"""The end of a training run: after its steps, or when evaluations reach the desired success rate."""
+"""The stopping rule of a training run: its steps, or a success rate in the evaluations of `evaluation.py`."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Periodic evaluation: flights of the present policy, scored by the task."""
+"""Periodic evaluation during a training run: flights of the present policy, scored by the task."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""The learning curves as TensorBoard's event files."""
+"""The TensorBoard event file of a training run, with its learning curves."""
 
 from __future__ import annotations
 

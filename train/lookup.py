@@ -11,16 +11,12 @@ from typing import Any
 
 from inclined_landing.models.base.errors import UserError, not_installed
 
-_MODULES = {
-    "report": "after_training",  # after a run
-    "find": "cli",  # the commands of a recipe
-}
-
 
 def look_up(name: str) -> Callable[..., Any]:
-    """Return a function of `eval` by its name; raises UserError if one of its packages is missing."""
+    """Return a function of `eval`, named `module.function`; raises UserError if a package is missing."""
+    module_name, _, function = name.rpartition(".")
     try:
-        module = importlib.import_module(f"inclined_landing.eval.{_MODULES[name]}")
+        module = importlib.import_module(f"inclined_landing.eval.{module_name}")
     except ModuleNotFoundError as error:
         raise UserError(not_installed(error, "eval")) from error
-    return getattr(module, name)
+    return getattr(module, function)

@@ -155,9 +155,8 @@ class Run:
     def _callbacks(self, tick: Tick) -> list[BaseCallback]:
         """Return what happens between the iterations, in this order.
 
-        After a rollout the curriculum moves before the curve has its level. Before the next one, the curve
-        refuses weights that are not finite before they are evaluated or saved, and the checkpoint contains
-        the evaluation.
+        The curve has the new level of the curriculum, and the checkpoint the evaluation; weights that are not
+        finite are refused before both.
         """
         config, learner = self.config, self.learner
         assert config.learning_rate is not None and config.evaluate_every is not None

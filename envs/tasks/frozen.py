@@ -1,4 +1,4 @@
-"""The starts of the evaluation of landing policies; training never uses them.
+"""The frozen starts: those from which landing policies are evaluated, and which training never uses.
 
 `landing_grid.csv` is the frozen set: a grid over the upper half of the arena, of 30 cm in x and 10 cm in
 z, without the starts at which the vehicle is closer than 5 cm to the platform.

@@ -1,4 +1,4 @@
-"""Custom tasks, named as `module:Class` or `file.py:Class`: their import, and checks of class and first step.
+"""Import of custom tasks, named as `module:Class` or `file.py:Class`, and checks of class and first step.
 
 The package's own tasks have tests instead. Later exceptions in custom code are reported in one sentence at
 the end of a command (`envs.shared.user_code.blame`); `BatchEnv` refuses rewards that are not finite.

@@ -24,8 +24,8 @@ from inclined_landing.eval.flying.interfaces import MeasuredPose
 from inclined_landing.models.attitude import PITCH, ROLL, STATE_SIZE, VX, VZ, YAW, X, Z
 from inclined_landing.models.vehicle import Vehicle
 
-# A touch changes the velocity by at most this, m/s (a flight's largest speed), between two poses at most this
-# far apart, s: a jump of the pose by more than 12 cm is none.
+# IMPACT [m/s]: largest change of the velocity by a touch, a flight's largest speed. IMPACT_TIME [s]: longest
+# interval between the two poses. A larger jump than their product, 12 cm, is a measurement error.
 IMPACT, IMPACT_TIME = 4.0, 0.03
 _NODES, _WEIGHTS = np.polynomial.legendre.leggauss(5)
 RESTART = 5.0  # s: clocks this far apart mean that the vehicle's began anew, as its 24 bits do after 4.7 h

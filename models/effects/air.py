@@ -9,7 +9,8 @@ def _ground_effect(vehicle, values):
         return vehicle
     present, before = vehicle.effects_ground_effect, vehicle.effects_ground_fading
     fading = values.get("fading", before)
-    if present != 0.0:  # the sum of two such laws is none of them: what lies between, by their strengths
+    # Laws that fade differently do not add up to one such law: take the mean fading, weighted by strength.
+    if present != 0.0:
         fading = (abs(present) * before + abs(strength) * fading) / (abs(present) + abs(strength))
     return vehicle.changed(effects_ground_effect=present + strength, effects_ground_fading=fading)
 

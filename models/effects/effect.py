@@ -62,8 +62,7 @@ class Parameter:
     bounds: tuple[float, float]  # limits of a fit
     plausible: float  # a value that a real vehicle may well have, within the bounds
     negligible: float  # distance from neutral, in the unit, that nobody needs to correct
-    # Below neutral lies no physical cause: the lower bound leaves room only for the noise of a fit.
-    one_signed: bool = False
+    one_signed: bool = False  # below neutral lies no physical cause, only room for the noise of a fit
     # Fields of Vehicle (`field.k`: their number k) that a factor multiplies, or divides where `inverse`, and
     # to which any other parameter is added; see `Effect`. A one-signed effect may also be negative, as far as
     # the first of them stays positive.
@@ -244,20 +243,13 @@ class Effect:
     apply: Callable[[Vehicle, Mapping[str, float]], Vehicle] = None  # type: ignore[assignment]
     # Field of `FlightLog` (or `yaw_rate_command`) -> its least change over the flights of a candidate.
     requires: Mapping[str, float] = dataclasses.field(default_factory=dict)
-    # It acts between the thrust command and the speed of the rotors: no candidate where that was measured.
-    of_the_drive: bool = False
-    # A lag or a delay: in doubt in flights recorded at a low rate, and no candidate in strong wind.
-    is_lag: bool = False
-    # Free flight shows it in the ratio of thrust to mass alone: such effects count as one cause.
-    scales_thrust: bool = False
-    # It changes the thrust of a hover command, or the weight: such effects may cancel each other, and thrust
-    # over weight is stated for all of them together.
-    changes_hover: bool = False
+    of_the_drive: bool = False  # between command and speed of the rotors: no candidate where that is measured
+    is_lag: bool = False  # a lag or delay: in doubt at a low log rate, no candidate in strong wind
+    scales_thrust: bool = False  # free flight shows thrust over mass alone: such effects count as one cause
+    changes_hover: bool = False  # thrust of a hover command, or weight: such effects may cancel each other
     # Effects that MuJoCo's contact model changes along with it but real feet do not: they may be as far off.
     couples_with: tuple[str, ...] = ()
-    # It belongs to the surroundings and has another value on another day or in another room: an identified
-    # vehicle does not contain it.
-    of_the_place: bool = False
+    of_the_place: bool = False  # another value in another room or on another day: not part of a vehicle
     # Whether `identify` fits it; else it stays as it is: a fault of one part, what ordinary flights hide.
     identified: bool = True
     # Where its size follows only with another constant known, flights show a product: the acceleration that

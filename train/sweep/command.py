@@ -88,8 +88,10 @@ class Sweep:
                         if program == "landing-train":
                             parse(TrainConfig, program, words).resolved()
                         else:
-                            look_up("report")  # the packages that evaluation imports when it runs
-                            parse(bound(look_up("find")(words[0])), f"{program} {words[0]}", words[1:])
+                            look_up(
+                                "after_training.report"
+                            )  # the packages that evaluation imports when it runs
+                            parse(bound(look_up("cli.find")(words[0])), f"{program} {words[0]}", words[1:])
                 except (UserError, KeyError, SystemExit) as error:
                     why = error if isinstance(error, UserError) else f"unknown command {shown(words[0], 40)}"
                     raise UserError(f"{shown(line, 100)}: {why}") from error
