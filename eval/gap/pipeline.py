@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import itertools
 import math
 from collections.abc import Mapping, Sequence
 
@@ -147,7 +148,8 @@ def named_effects(
         is_loop = name in lags
         names = lags if is_loop else (name,)
         parameters = {"response": sizes.response(found, values, lags)} if is_loop else estimates[name]
-        members = _members(found, values, names)
+        classes = ((*equivalence_class(found, n), *_predicting_as_well(found, values, n)) for n in names)
+        members = tuple(dict.fromkeys(itertools.chain(*classes)))
         too_small = least > 0.0 and not ahead[name].cost > least
         cancelled = may_cancel and library[name].changes_hover
         doubt = _doubt(problem, name, ahead[name].along, too_small, cancelled)
@@ -167,14 +169,6 @@ def named_effects(
             )
         )
     return tuple(result)
-
-
-def _members(found: SetPosterior, values: Values, names: Sequence[str]) -> tuple[str, ...]:
-    """Return some named effects, and those that the flights do not distinguish from one of them."""
-    members: list[str] = []
-    for name in names:
-        members += [*equivalence_class(found, name), *_predicting_as_well(found, values, name)]
-    return tuple(dict.fromkeys(members))
 
 
 def _predicting_as_well(found: SetPosterior, values: Values, name: str) -> list[str]:

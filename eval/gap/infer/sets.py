@@ -161,7 +161,8 @@ class _Fits:
             elif np.isfinite(best.score):  # from the best, half of the step that led here
                 best_at = problem.coordinates(best.local.values, columns)
                 next_values, step = problem.values_at(names, columns, 0.5 * (best_at + at)), at - best_at
-            if score < rough_below or _is_negligible(problem, columns, step):
+            in_negligible = step / [problem.parameter(c).negligible for c in columns]
+            if score < rough_below or np.abs(in_negligible).max() < STEP_TOLERANCE:
                 break
             values = next_values
         assert best is not None
@@ -360,12 +361,6 @@ def _requested(problem: Problem, local: LinearGaussian, names: EffectSet) -> Fit
     if not (problem.requested and others):
         return {}
     return problem.values_at(others, local.columns, (local.at + local.posterior(names)[0]) * local.unit)
-
-
-def _is_negligible(problem: Problem, columns: Sequence[Column], step: np.ndarray) -> bool:
-    """Return whether a Newton step (P,) is too small for another to be worth its time."""
-    negligible = np.array([problem.parameter(c).negligible for c in columns])
-    return bool(np.abs(step / negligible).max() < STEP_TOLERANCE)
 
 
 def _all_nonzero(problem: Problem, names: EffectSet, values: Values) -> bool:

@@ -32,7 +32,6 @@ DIGIT = 1e-4  # m or rad, to which poses are compared: a file may have been writ
 SAMPLED = 16  # of so many rows, one is kept to recognise a flight by
 SAME = 0.5  # share of its poses that a flight has in common with itself, cut out and written again
 DIFFERENT = "fitting and evaluation need different flights"
-_ANGLE_COMMANDS = slice(1, 3)  # of a log's commands: roll and pitch
 AFTER_THRUST = 1.0  # s after the last commanded thrust in which a vehicle may still fall over
 
 
@@ -116,7 +115,7 @@ class UsableFlights:
 def _without_angle_commands(log: FlightLog) -> FlightLog:
     """Return a log as if its commands of roll and pitch had not been recorded."""
     command = np.array(log.command, float)
-    command[:, _ANGLE_COMMANDS] = np.nan
+    command[:, 1:3] = np.nan
     return dataclasses.replace(log, command=command)
 
 

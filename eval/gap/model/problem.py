@@ -3,8 +3,8 @@
 With white errors e and the Jacobian J of the prediction, e(x + d) = e - J d; everything after a linearisation
 works on the Gram matrices of every flight (normal equations):  a = J'J,  b = J'e,  c = e'e.
 
-Each channel is whitened alone. Predictions and Jacobians, (..., m, C) in all signatures, therefore lie in
-memory one channel after another, (..., C, m): `transposed` leads from either to the other without a copy.
+Each channel is whitened alone. Jacobians, (k, m, C) in all signatures, therefore lie in memory one channel
+after another, (k, C, m): `transpose(0, 2, 1)` leads from either to the other without a copy.
 """
 
 from __future__ import annotations
@@ -270,7 +270,7 @@ class Problem(Candidates):
             here = next(of_vehicles)
             rest = {effect: next(of_vehicles) for effect in others}
             moved = {column: next(of_vehicles) for column in differences}
-            result = transposed(np.empty((1 + len(columns), *here.T.shape)))
+            result = np.empty((1 + len(columns), *here.T.shape)).transpose(0, 2, 1)
             result[0] = _with_model_errors(here, form_jacobian, values)
             for column, out in zip(columns, result[1:]):
                 if isinstance(column, BaseColumn):
@@ -326,11 +326,6 @@ class Problem(Candidates):
         return Linearisation(values, tuple(columns), a, b, c, flight_of)
 
 
-def transposed(values: np.ndarray) -> np.ndarray:
-    """Return a view of values with the last two axes exchanged: see the memory layout above."""
-    return values.swapaxes(-1, -2)
-
-
 def _live(series: np.ndarray, of_the_pose: bool) -> np.ndarray:
     """Return the indices of the series (n, m) in one channel that add to its Gram matrix.
 
@@ -353,7 +348,7 @@ def _form_jacobians(flights: Sequence[MeasuredFlight], vehicle: Vehicle) -> tupl
     def of(flight: MeasuredFlight) -> np.ndarray:
         gravity, predicted = vehicle.environment_gravity, predict(flight, vehicle)
         columns = [BaseColumn(f).along(predicted, gravity, flight).T for f in BASE_DEVIATIONS]
-        return transposed(np.stack(columns))
+        return np.stack(columns).transpose(0, 2, 1)
 
     return tuple(two_at_a_time(of, flights))
 
@@ -363,8 +358,8 @@ def _with_model_errors(predicted: np.ndarray, form_jacobian: np.ndarray, values:
     weights = values.get(BASE, {})
     if not any(weights.values()):
         return predicted
-    by_channel = np.tensordot([weights[f] for f in BASE_DEVIATIONS], transposed(form_jacobian), axes=1)
-    return predicted + transposed(by_channel)
+    jacobian = form_jacobian.transpose(0, 2, 1)
+    return predicted + np.tensordot([weights[f] for f in BASE_DEVIATIONS], jacobian, axes=1).T
 
 
 def _wind_force(vehicle: Vehicle, library: Mapping[str, Effect]) -> float:
@@ -383,7 +378,12 @@ def identifiable_effects(
     measured = any(f.thrust_is_measured for f in flights)
     requested = all(f.requests is not None for f in flights)
     for name, effect in library.items():
-        if _never_shows(effect, measured, requested):
+        of_requests = "requests" in effect.channels
+        given = measured and effect.of_the_drive  # by the speeds of the rotors
+        like_others = not effect.identified and not of_requests  # flights show it as lags and gains of loops
+        # As in most logs; a note for each would hide the others.
+        not_logged = of_requests and effect.requires and not requested
+        if given or like_others or not_logged:
             continue
         why = {_why_unidentifiable(channel, least, flights) for channel, least in effect.requires.items()}
         if why := why - {""}:
@@ -394,19 +394,6 @@ def identifiable_effects(
     if not requested:
         notes.append("the four motor commands are not logged, so individual rotors cannot be diagnosed")
     return kept, notes
-
-
-def _never_shows(effect: Effect, measured: bool, requested: bool) -> bool:
-    """Return whether flights of this kind cannot show an effect, whatever they excite: no note says so.
-
-    measured: rotor speeds are, and take the place of the thrust command. requested: the motors' requests are
-    logged; in most logs they are not, and a note for each effect would hide the others.
-    """
-    of_requests = "requests" in effect.channels
-    given = measured and effect.of_the_drive
-    like_other_loops = not effect.identified and not of_requests  # as lags and gains of the loops look
-    not_logged = of_requests and bool(effect.requires) and not requested
-    return given or like_other_loops or not_logged
 
 
 def _why_unidentifiable(channel: str, least: float, flights: Sequence[MeasuredFlight]) -> str:

@@ -70,16 +70,11 @@ def write_reference(file: Path, found: Identification | None, given: Path | None
         return file
     if given is not None:
         file.parent.mkdir()
-        _copy_vehicle(given, file)
+        source = locate_vehicle(given)
+        for original, copy in ((source, file), (posterior_path(source), posterior_path(file))):
+            if original.is_file():
+                storage.write_bytes(copy, original.read_bytes())
     return given
-
-
-def _copy_vehicle(vehicle: Path, file: Path) -> None:
-    """Copy a vehicle file or shipped vehicle, and its posterior if there is one, to `file`."""
-    source = locate_vehicle(vehicle)
-    for original, copy in ((source, file), (posterior_path(source), posterior_path(file))):
-        if original.is_file():
-            storage.write_bytes(copy, original.read_bytes())
 
 
 def write_posterior(vehicle: Path, reference: VehiclePosterior) -> None:

@@ -589,7 +589,7 @@ def test_a_vehicle_file_alone_is_as_uncertain_as_its_entries_say():
 
 
 def test_every_threshold_says_what_it_decides_and_what_was_measured():
-    """Each is used and said to decide something; what it trades off and its error rate stand below."""
+    """Each is used; a sentence says what it decides, then stand what it trades off and its error rate."""
     source = Path(thresholds.__file__)
     entries = re.split(r"\n(?=[A-Z_]+ = )", source.read_text("utf-8"))[1:]
     code = "".join(p.read_text("utf-8") for p in source.parent.rglob("*.py"))
@@ -597,8 +597,8 @@ def test_every_threshold_says_what_it_decides_and_what_was_measured():
         name = entry.split(" = ")[0]
         assert f"thresholds.{name}" in code or f"{name} *" in code, name
         if not entry.startswith("CONFOUNDED = "):  # with the next one
-            said = " ".join(entry.splitlines()[1:]).replace(" # ", " ")
-            assert re.search(r"^# larger: .*\. measured: ", said), entry
+            said = " ".join(line.partition("# ")[2] for line in entry.splitlines())
+            assert re.search(r"\b(If .*, then|if .*, then|This is) .*\. Larger: .*\. Measured: ", said), entry
 
 
 @pytest.mark.parametrize("bias", [0.0, 0.08, -0.05])
