@@ -119,28 +119,29 @@ def _between_by_em(problem: Problem, linear: Linearisation, unit: np.ndarray) ->
     # 1982).  E: mean m_g and covariance C_g of u_g at the current v.  M, with the prior variance v_0:
     #   v = s v_0 + (1 - s) mean_g (m_g^2 + diag C_g),   s = n_0 / (n_0 + n),  n_0 = PRIOR_FLIGHTS
     a, b = linear.a * np.outer(unit, unit), linear.b * unit
-    prior = (unit / slab_deviations(problem, linear.columns)) ** 2
-    # Prior: a unit, which confounded columns share as they share a negligible size; what varies with the
+    slab_information = (unit / slab_deviations(problem, linear.columns)) ** 2
+    # v_0: a unit, which confounded columns share as they share a negligible size; what varies with the
     # manoeuvre in each of them, since no loop is quite of its form.
     parameters = [problem.parameter(c) for c in linear.columns]
     manoeuvre = np.array([problem.variation(c).manoeuvre for c in linear.columns])
     loop = manoeuvre > 0.0
-    known = np.where(loop, np.maximum(manoeuvre, [p.negligible for p in parameters]) / unit, 1.0)
-    known = np.maximum(BETWEEN, known) ** 2
-    variance, eye = known.copy(), np.eye(len(unit))
-    # Bounds: for the attitude loops half a slab, for the rest a whole one (days differ as vehicles do).
-    most = np.maximum(known, np.where(loop, MOST_SPIKE**2, 1.0) / prior)
-    sized = np.array([not p.is_reference for p in parameters])
+    deviation = np.where(loop, np.maximum(manoeuvre, [p.negligible for p in parameters]) / unit, 1.0)
+    prior_variance = np.maximum(BETWEEN, deviation) ** 2
+    variance, eye = prior_variance.copy(), np.eye(len(unit))
+    # Bounds: for the attitude loops half a slab, for the rest a whole one (days differ as vehicles do). What
+    # an effect is relative to (a reference) has no size that could vary.
+    most = np.maximum(prior_variance, np.where(loop, MOST_SPIKE**2, 1.0) / slab_information)
+    has_size = np.array([not p.is_reference for p in parameters])
     share = PRIOR_FLIGHTS / (PRIOR_FLIGHTS + problem.groups)
     for _ in range(EM_ROUNDS):
         inner = np.linalg.inv(eye + a * variance)
-        total = (inner @ a).sum(axis=0) + np.diag(prior)
+        total = (inner @ a).sum(axis=0) + np.diag(slab_information)
         common = np.linalg.solve(total, np.einsum("gpq,gq->p", inner, b))
         covariance = variance[:, None] * inner
         mean = np.einsum("gpq,gq->gp", covariance, b - a @ common)
         second = mean**2 + np.diagonal(covariance, axis1=1, axis2=2)
-        found = share * known + (1.0 - share) * second.mean(axis=0)
-        variance = np.where(sized, np.clip(found, BETWEEN**2, most), BETWEEN**2)
+        found = share * prior_variance + (1.0 - share) * second.mean(axis=0)
+        variance = np.where(has_size, np.clip(found, BETWEEN**2, most), BETWEEN**2)
     return {c.key: float(np.sqrt(v) * u) for c, v, u in zip(linear.columns, variance, unit)}
 
 
@@ -164,7 +165,7 @@ class Bounds(NamedTuple):
             least, most = (p.coordinate(x) / unit[k] for x in p.possible)
             if not column.fixed:
                 low[k], high[k] = least, most
-            elif k and columns[k - 1].effect == column.effect:
+            elif k and columns[k - 1].effect == column.effect:  # the second of a pair, next to the first
                 effect = candidates.library[column.effect]
                 about = effect.reference
                 assert about is not None  # a fixed parameter is a reference
@@ -270,12 +271,13 @@ class LinearGaussian:
         )
 
     def for_sizes_of(self, names: EffectSet) -> LinearGaussian:
-        """Return the model from which sizes of a set are read: large effects have slabs LARGE times as wide.
+        """Return the model from which sizes of a set are read: some effects have slabs LARGE times as wide.
 
-        With the usual slab, the errors of the identified vehicle would take a share of every large effect. An
-        effect is large if its mode exceeds its slab's standard deviation. Its slab stays if the flights do
-        not show it apart from the others of the set, so that its standard error would exceed the usual slab:
-        wide slabs would let effects that compensate one another all grow.
+        These are columns for which both holds:
+        - They are large: the mode exceeds the slab's standard deviation. With the usual slab, the errors of
+          the identified vehicle would take a share of them.
+        - The flights show them apart from the others of the set: with wide slabs for all large columns, the
+          standard error is below the usual slab. Else effects that compensate one another would all grow.
         """
         slab = np.sqrt(self.slab.diagonal())
         of_set = np.array([k for k in self.index(names) if isinstance(self.columns[k], ParameterColumn)], int)
@@ -460,7 +462,7 @@ def _bounded_mode(a, b, slab, bounds, k, times):
     #   log p = log p_0 + 1/2 |z|^2 - 1/2 log det(1 + L' a L),
     # F F' = 1 + L' a L (Cholesky),  z = F^-1 L' b,  mode L F'^-1 z
     eye, prior = np.eye(len(k)), slab[k][:, k] * np.outer(times, times)
-    for i in range(len(k)):
+    for i in range(len(k)):  # less the spike, 1 in its own units, which every set has; 1e-6 at least is left
         prior[i, i] -= 1.0 - max(1e-9, 1e-6 - (prior[i, i] - 1.0))
     root = np.linalg.cholesky(prior)
     factor = np.linalg.cholesky(eye + root.T @ (np.ascontiguousarray(a[k][:, k]) @ root))

@@ -40,6 +40,7 @@ GROUND_HEIGHT = 0.02
 LEAST_POSITION_NOISE, LEAST_ANGLE_NOISE = 1e-4, 3e-4
 LEAST_REQUEST_NOISE = 1e-3  # of the sum of all requests
 YAW = 5  # channel
+KEPT_ATTITUDES = 10  # results of `MeasuredFlight.attitude_of`; with more, all are forgotten
 # Signs of the motors M1 (front right), M2 (back right), M3 (back left) and M4 (front left) in a positive
 # torque about the body's x, y and z axes (M2 and M4 turn clockwise).
 REQUEST_SIGNS = np.array([[-1.0, -1.0, 1.0, 1.0], [-1.0, 1.0, 1.0, -1.0], [-1.0, 1.0, -1.0, 1.0]])
@@ -67,12 +68,14 @@ class MeasuredFlight:
     starts: np.ndarray  # (w,) first row of every window
     rows: int  # per window
     clearance: np.ndarray  # (m,) m above the floor or the slab
-    acceleration_noise: np.ndarray  # (3,) of the predicted acceleration, by that of the attitude in a row
+    # (3,) m/s2, noise of the predicted acceleration caused by the attitude noise of one row
+    acceleration_noise: np.ndarray
     error_responses: ErrorResponses
     whitening: Whitening
     usable: np.ndarray  # (m,) bool: measured, flying, not touching
     thrust_is_measured: bool  # whether the thrust command is that of measured rotor speeds: without a lag
     requests: MotorRequests | None  # None: not logged
+    # Results of `attitude_of` by tilt and delay, since fits come back to the same few.
     _attitudes: dict = dataclasses.field(default_factory=dict, repr=False)
 
     @property
@@ -156,7 +159,7 @@ class MeasuredFlight:
                 middle = remove_tilt(earlier(middle, -late / self.dt), tilt)
                 rotation, first = rotations(middle), remove_tilt(self.attitude[:1], tilt)[0]
             cached = middle, rotation, rates_about_x(middle), first
-            if len(self._attitudes) > 9:
+            if len(self._attitudes) >= KEPT_ATTITUDES:
                 self._attitudes.clear()
             self._attitudes[tilt, late] = cached
         return cached
@@ -261,7 +264,8 @@ def prepare(log: FlightLog, vehicle: Vehicle, *, platform: bool = False) -> Meas
     requests = MotorRequests.of(log, attitude, dt, half, vehicle)
     seen, least = [log.position, attitude], [LEAST_POSITION_NOISE] * 3 + [LEAST_ANGLE_NOISE] * 3
     # Without one tilt angle the thrust's horizontal part is unknown; its vertical part hardly differs.
-    logged = [*[angle_known[:2].all()] * 2, True, *(angle_known & commanded[1:])]
+    tilt_known = angle_known[:2].all()
+    logged = [tilt_known, tilt_known, True, *(angle_known & commanded[1:])]  # position, attitude
     if requests is not None:
         seen, least = [*seen, requests.differences], least + [LEAST_REQUEST_NOISE] * 3
         logged += [True] * 3
@@ -351,7 +355,7 @@ def prepare_all(
         raise UserError(
             "some flights have thrust from measured rotor speeds, others from commands; use one kind only"
         )
-    if len({f.requests is None for f in flights}) > 1:
+    if len({f.requests is None for f in flights}) > 1:  # all flights of a regression have the same channels
         silent = [dataclasses.replace(log, requests=None) for log in logs]
         return prepare_all(silent, vehicle, platform)
     return flights, (*notes, *(f"left out: {reason}" for reason in refused))
@@ -377,12 +381,15 @@ def in_free_flight(log: FlightLog, vehicle: Vehicle) -> np.ndarray:
         bad |= log.contact
     else:
         bad |= _on_ground(log.position[:, 2])
-    # At rest at the lowest height while the record begins or ends: standing on the ground.
+    # A vehicle that rests while the record begins stands on the ground, if it is nowhere lower and flies well
+    # above that later.
     height = log.position[:, 2]
     resting = np.abs(height - height[0]) < 0.01
     lead = len(resting) if resting.all() else int(np.argmin(resting))
-    if lead * dt > 1.0 and height[0] < np.nanquantile(height, 0.02) + 0.01 < np.nanmedian(height) - 0.1:
-        bad[:lead] = True
+    if lead * dt > 1.0:
+        lowest = np.nanquantile(height, 0.02) + 0.01  # but for outliers and noise
+        if height[0] < lowest < np.nanmedian(height) - 0.1:
+            bad[:lead] = True
     # Margins around contact and idling: 0.05 s before, 0.1 s after.
     wide = bad.copy()
     for k in np.flatnonzero(bad[1:] != bad[:-1]):
