@@ -26,12 +26,12 @@ from inclined_landing.eval.logs.limits import LEAST_RATE
 
 # Which flights count
 
-TURNED_OVER = 1.5708  # rad: if the thrust points further than this from the vertical, then the vehicle has
-# crashed, and the flight is set aside. Larger: fewer set aside; roll and pitch say little beyond. Measured:
-# blind, none of its flights is
+TURNED_OVER = 1.5708  # rad: if the thrust points further than this from the vertical, then the flight is a
+# crash and set aside. Larger: fewer set aside; roll and pitch say little beyond. Measured: blind, none of its
+# flights is
 CRASH_SPEED = 3.0  # m/s: if this much speed is lost within 0.1 s, as in a fall from half a metre, then the
-# vehicle has crashed, and the flight is set aside. Larger: fewer set aside, harder landings used. Measured:
-# blind, none of its flights and landings is
+# flight is a crash and set aside. Larger: fewer set aside, harder landings used. Measured: blind, none of its
+# flights and landings is
 STRANGE_TOUCH = 0.25  # m: if the vehicle touches something further than this, beyond its own size, from floor
 # and slab, then the model lacks what it touched, and the flight is set aside. Larger: slabs that stand
 # elsewhere are used. Measured: blind, no landing on slab (to 5 cm off) or floor is
@@ -44,18 +44,16 @@ LAG_RATE = 0.99 * LEAST_RATE  # rows per second, less 1 % for rounded steps: if 
 # is sure. Larger: lags of faster logs only possible. Measured: -, slow logs of blind and fresh have 50
 LEAST_LANDINGS = 6  # If there are fewer touchdowns, then no effect of contact is named. Larger: fewer flights
 # tell of contact. Measured: twelve landings on two engines: 0 of 14 sure names wrong
-STRONG_WIND = 0.05  # If the steady sideways force over the weight exceeds this, then attitude loops and lags
-# are not judged. Larger: loops named for moments of stronger winds. Measured: -, see
-# docs/evidence/known_causes.md
+STRONG_WIND = 0.05  # If the steady sideways force over the weight exceeds this, then loops and lags are not
+# judged. Larger: loops named for moments of stronger winds. Measured: -, see docs/evidence/known_causes.md
 
 # Inconsistent flights
 
 INCONSISTENT = 0.01  # This is the familywise rate at which consistent flights are called inconsistent.
 # Larger: more groups found, more false alarms. Measured: agreement, 0 of 6 consistent sets; found: 24 of 24
 # with another vehicle or a tilt of motion capture, 0 of 12 with a trim of the commands
-EXCITED = 0.7  # If the standard error of an effect by one flight, over its prior deviation, is below this,
-# then the flight excites the effect, and is compared in it. Larger: more effects compared, each with less
-# power. Measured: -
+EXCITED = 0.7  # If a flight's standard error of an effect, over the prior deviation, is below this, then it
+# is compared in the effect. Larger: more effects compared, each with less power. Measured: -
 DIFFERS_ALIKE = 0.05  # If the likelihood ratio of an effect to the best one exceeds this, then it too may be
 # what differs. Larger: fewer alternatives listed. Measured: -
 DIFFERS_BESIDE = 0.5  # If a larger share than this of an effect's information is not confounded with others,
@@ -109,9 +107,8 @@ LARGER_DISTURBANCE = 2.0  # If the disturbance of a channel is at least this man
 # Measured: -
 WORSE = 0.05  # If the position error left out grows by more than this share, then an identified vehicle is
 # called worse. Larger: worse vehicles offered without a word, fewer good ones doubted. Measured: -
-WORSE_BY_CHANCE = 0.05  # This is the level of the paired t test over flights that an identified vehicle
-# predicts one axis worse. Larger: more references doubted along an axis. Measured: six, 0 of 45; recorded, 0
-# of 6 subsets
+WORSE_BY_CHANCE = 0.05  # This is the level of the paired t test over flights that one axis is predicted
+# worse. Larger: more references doubted along an axis. Measured: six, 0 of 45; recorded, 0 of 6 subsets
 
 # Unknown
 
@@ -145,9 +142,8 @@ UNMET = 0.95  # If that ratio exceeds this, then identification says nothing of 
 CORRELATED = 0.8  # If the posterior correlation of two effects of an identified vehicle exceeds this, then
 # they are confounded. Larger: shorter lists. Measured: -
 
-FEEBLE = 0.05  # m/s2: if a wind of 1.2 m/s accelerates the hovering vehicle sideways by less, then no wind is
-# named. Larger: fewer vehicles whose wind is named; of those with little drag its speed is a guess. Measured:
-# -
+FEEBLE = 0.05  # m/s2: if a wind of 1.2 m/s accelerates a hovering vehicle by less, then no wind is named.
+# Larger: fewer vehicles whose wind is named; of those with little drag its speed is a guess. Measured: -
 FLOWN = 0.03  # If a smaller share of the windows is in a regime, then a flight in it is asked for. Larger:
 # more flights asked for. Measured: -
 

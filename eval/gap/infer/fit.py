@@ -24,9 +24,7 @@ from inclined_landing.models.vehicle import Vehicle
 
 MODEL_ERRORS = np.array([0.0, *np.geomspace(0.002, 0.5, 30)])  # f, multiplicative model errors that are tried
 ALTERNATIONS = 4  # rounds, at most, of fitting effects and noise model in turn
-# The fit of a round may be rough: the next one begins where it ends, with the noise estimated again.
-ROUGH_ITERATIONS = 3
-ROUGH_TOLERANCE = 5.0  # decrease of the cost that ends it
+ROUGH_ITERATIONS, ROUGH_TOLERANCE = 3, 5.0  # of a round's fit: the next one begins where it ends
 LAGS = 4  # windows over which autocorrelations are summed
 ROUNDS = 8  # of Newton's method
 STEP_SHARES = (1.0, 0.5, 0.25, 0.1)  # of a Newton step, the first that decreases the deviance
@@ -141,9 +139,8 @@ def estimate_noise(problem: Problem) -> tuple[Problem, FittedValues]:
     values: FittedValues = {name: {} for name in (*problem.library, BASE)}
     for _ in range(ALTERNATIONS):
         before = problem.noise_model
-        values = fit_least_squares(
-            problem, values, ROUGH_ITERATIONS, ROUGH_TOLERANCE, prior=_joint_fit_prior
-        ).values
+        fit = fit_least_squares(problem, values, ROUGH_ITERATIONS, ROUGH_TOLERANCE, _joint_fit_prior)
+        values = fit.values
         predicted = problem.predicted(values)
         errors = [f.measured - p for f, p in zip(problem.flights, predicted)]
         noise_model = estimate(problem.flights, errors, problem.split(problem.weight))

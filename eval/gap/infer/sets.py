@@ -13,7 +13,6 @@ import itertools
 import math
 from collections import defaultdict
 from collections.abc import Sequence
-from typing import NamedTuple
 
 import numpy as np
 from msgspec import structs
@@ -117,13 +116,6 @@ def search(problem: Problem, joint: FittedValues) -> SetPosterior:
     return SetPosterior(problem, linear, spread, chosen, scored)
 
 
-class _Predicted(NamedTuple):
-    """What a fit predicts for a neighbour of its set, by its linearisation."""
-
-    score: float  # log posterior probability, up to a constant
-    near: FittedSet  # that fit
-
-
 class _Fits:
     """Sets of effects fitted through the simulator, and the search for the most probable ones."""
 
@@ -187,30 +179,30 @@ class _Fits:
             fit = self.fit(frozenset(start), start)
             if fit.names not in fitted or fit.score > fitted[fit.names].score:
                 fitted[fit.names] = fit
-        predicted: dict[EffectSet, _Predicted] = {}
-        # Set -> values that its fit begins at, for an effect whose slopes at neutral may mislead.
-        far_starts: dict[EffectSet, FittedValues] = {}
+        predicted: dict[EffectSet, float] = {}  # log posterior probability, up to a constant
+        near: dict[EffectSet, FittedSet] = {}  # the fit whose linearisation predicts it
+        far_starts: dict[EffectSet, FittedValues] = {}  # of an effect whose slopes at neutral mislead
         expanded: set[EffectSet] = set()
         while len(fitted) < MOST_FITS:
             best = self.best
             for fit in (fitted[n] for n in sorted({frozenset(), best.names} - expanded, key=len)):
                 expanded.add(fit.names)
                 for names in _neighbours(problem, fit):
-                    predicted[names] = _Predicted(fit.evidence(names) + log_prior(problem, names), fit)
+                    predicted[names], near[names] = fit.evidence(names) + log_prior(problem, names), fit
                 for name, (start, gain) in self._far_starts(fit.values).items():
                     others = [n for n in problem.library[name].confused_with if n in fit.names]
                     for names in (fit.names | {name}, *(fit.names - {n} | {name} for n in others)):
                         if names not in fitted:
                             far_starts[names] = start
-                            score = max(predicted[names].score, fit.score + gain)
-                            predicted[names] = _Predicted(score, fit)
+                            predicted[names] = max(predicted[names], fit.score + gain)
+                            near[names] = fit
             unfitted = [names for names in predicted if names not in fitted]
             if not unfitted:
                 break
-            names = max(unfitted, key=lambda n: (predicted[n].score, sorted(n)))
-            if predicted[names].score < best.score - FIT_WITHIN:
+            names = max(unfitted, key=lambda n: (predicted[n], sorted(n)))
+            if predicted[names] < best.score - FIT_WITHIN:
                 break
-            start = self.linear_estimate(predicted[names].near, names) | far_starts.get(names, {})
+            start = self.linear_estimate(near[names], names) | far_starts.get(names, {})
             if _all_nonzero(problem, names, start):
                 fitted[names] = self.fit(names, start, best.score - ROUGH_BEYOND)
             else:  # its predicted probability comes from values beyond the bounds

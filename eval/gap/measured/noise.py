@@ -70,13 +70,12 @@ class ErrorResponses:
         turn = np.stack([np.ones(rows), np.exp(-turn_bandwidth * t)], axis=1)
         # ... and the projections that leave nothing of it.
         no_line, no_tilt, no_turn = (null_space(x.T) for x in (line, tilt, turn))
-        projection: tuple[np.ndarray, ...] = (no_line, no_line, no_line, no_tilt, no_tilt, no_turn)
-        impulse: tuple[np.ndarray, ...] = (moved, moved, moved, tilted, tilted, turned)
+        projection = [no_line] * 3 + [no_tilt] * 2 + [no_turn]
+        impulse = [moved] * 3 + [tilted] * 2 + [turned]
         if requests:  # no start state; two rows fewer, as many numbers as the other channels have
-            fewer = np.eye(rows, rows - 2)
-            projection += (fewer, fewer, fewer)
-            impulse += (np.eye(rows), np.eye(rows), np.eye(rows))
-        return ErrorResponses(projection, impulse, dt)
+            projection += [np.eye(rows, rows - 2)] * 3
+            impulse += [np.eye(rows)] * 3
+        return ErrorResponses(tuple(projection), tuple(impulse), dt)
 
     def noise(self, channel: int, noise: np.ndarray, acceleration: np.ndarray) -> np.ndarray:
         """Return the covariance (q, q) of a channel's error by measurement noise (see `Whitening.of`)."""
@@ -198,16 +197,6 @@ def estimate(
     return NoiseModel(size, size_ends.T, time, time_ends.T, noise)
 
 
-class _ChannelNoise(NamedTuple):
-    """The noise model of a channel: see `NoiseModel`."""
-
-    size: float
-    size_ci95: tuple[float, float]
-    time: float
-    time_ci95: tuple[float, float]
-    noise: float
-
-
 class _Modes(NamedTuple):
     """A flight's errors in one channel along the modes of a disturbance of one correlation time."""
 
@@ -216,11 +205,11 @@ class _Modes(NamedTuple):
     windows: int
 
 
-def _fit_channel(flights, windows, channel: int) -> _ChannelNoise:
-    """Return the noise model of a channel."""
+def _fit_channel(flights, windows, channel: int):
+    """Return the fields of a channel's `NoiseModel`, in their order: numbers, and intervals (low, high)."""
     parts = [_simultaneous_modes(f, w, channel) for f, w in zip(flights, windows) if f.logged[channel]]
     if not parts:
-        return _ChannelNoise(0.0, (0.0, 0.0), 0.3, (0.3, 0.3), 1.0)
+        return 0.0, (0.0, 0.0), 0.3, (0.3, 0.3), 1.0
     # The size at which the disturbance alone, of a medium correlation time, would explain the errors.
     medium = [part[len(TIMES) // 2] for part in parts]
     typical = np.median([modes.squares.mean() / modes.variances.mean() for modes in medium])
@@ -238,10 +227,10 @@ def _fit_channel(flights, windows, channel: int) -> _ChannelNoise:
     time = _parabola_vertex(np.log(TIMES), total[:, best[1], best[2]], best[0])
     factor = float(np.sqrt(NOISE_VARIANCES[best[1]]))
     if best[2] == 0:  # the smallest size of the grid: no disturbance
-        return _ChannelNoise(0.0, (0.0, float(size_ends[1])), time, tuple(time_ends), factor)
+        return 0.0, (0.0, float(size_ends[1])), time, tuple(time_ends), factor
     size_ci95 = (min(size, size_ends[0]), max(size, size_ends[1]))
     time_ci95 = (min(time, time_ends[0]), max(time, time_ends[1]))
-    return _ChannelNoise(size, size_ci95, time, time_ci95, factor)
+    return size, size_ci95, time, time_ci95, factor
 
 
 def _simultaneous_modes(flight, windows: np.ndarray, channel: int) -> list[_Modes]:

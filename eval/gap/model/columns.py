@@ -33,9 +33,7 @@ Values = Mapping[str, Mapping[str, float]]  # effect -> parameter -> value; BASE
 FittedValues = dict[str, dict[str, float]]  # the same, a copy to change
 T = TypeVar("T")
 
-# The base model stands among values beside the names of effects, with the weights of its model (form) errors,
-# so that values are all that a prediction depends on.
-BASE = "base model"
+BASE = "base model"  # stands for its model errors' weights, so that values are all that a prediction needs
 SLAB = 1.0  # standard deviation of the slab, in plausible sizes
 # Covariance of a unit size at both sides: see `slab_covariance`.
 SHAPE_COVARIANCE = np.array([[0.3125, 0.1875], [0.1875, 0.3125]])
@@ -141,9 +139,8 @@ FITTING = {
 class ParameterColumn(Struct, frozen=True, tag="parameter"):
     """A column of the Jacobian: a parameter of an effect.
 
-    An effect about a reference (see `Candidates.columns`) has two, for the sizes about the lowest and about
-    the highest reference: a pair with the same key, in this order, one next to the other. `Effect.at_ends`
-    splits a size about any reference into the two, and `Effect.from_ends` puts them together.
+    An effect about a reference (see `Candidates.columns`) has a pair with one key, in this order: its sizes
+    about the lowest and the highest reference, as `Effect.at_ends` and `from_ends` convert them.
     """
 
     effect: str

@@ -60,9 +60,7 @@ class Problem(Candidates):
     """
 
     flights: tuple[MeasuredFlight, ...]  # whitened by the noise model
-    # Of the vehicle's constants, from flights or from its file; None: they are exact, as for a caller of
-    # `diagnose` without either.
-    reference: VehiclePosterior | None
+    reference: VehiclePosterior | None  # from flights or the vehicle's file; None: its constants are exact
     model_errors: float  # standard deviation of model errors without a reference, over the full one
     noise_model: NoiseModel
     weight: np.ndarray  # (w, C) inverse variance by model errors; 0 in channels that were not logged
@@ -84,13 +82,12 @@ class Problem(Candidates):
         channels = flights[0].channels  # C: 6 of the pose, and 3 of motor requests where logged
         logged = np.array([f.logged for f in flights])
         ignored = {"touchdown"} | {name for name, of in CHANNEL_GROUPS.items() if not logged[:, of].any()}
-        kept: dict[str, Effect] = {}
-        for name, effect in library.items():
-            shows = set(effect.channels) - ignored
-            # What an effect requires are fields of a flight, None where the log has no such channel.
-            has_all = all(getattr(f, field) is not None for f in flights for field in effect.requires)
-            if shows and has_all:
-                kept[name] = effect.sized_for(vehicle)
+        kept = {  # an effect requires fields of a flight, which are None where the log has no such channel
+            name: effect.sized_for(vehicle)
+            for name, effect in library.items()
+            if set(effect.channels) - ignored
+            and all(getattr(f, field) is not None for f in flights for field in effect.requires)
+        }
         if _wind_force(vehicle, kept) < thresholds.FEEBLE:
             kept = without(kept, "wind")
         if channels > len(CHANNELS):

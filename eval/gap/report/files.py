@@ -61,8 +61,7 @@ def write_identified(found: Identification, folder: Path, *, base: Path | None =
 def write_reference(file: Path, found: Identification | None, given: Path | None) -> Path | None:
     """Write the vehicle that flights were compared with to `file`; return what its correction is based on.
 
-    found: its identification from flights of a reference. Without one it is the file `given`; without either
-    it is the shipped vehicle, of which nothing is written.
+    found: its identification. Without one it is the file `given`; else the shipped one, which is not written.
     """
     if found is not None:
         file.parent.mkdir()
