@@ -1,4 +1,1 @@
-"""Evaluation: the commands of `landing-eval`, in the modules that `cli.GROUPS` lists, and what they share.
-
-`after_training` is the report of `landing-train`.
-"""
+"""Evaluation: the commands of `landing-eval`, in modules of `cli.GROUPS`, and the report of a training."""

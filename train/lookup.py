@@ -1,7 +1,4 @@
-"""The functions of `eval` that training calls, looked up by name: `train` imports nothing of `eval`.
-
-It so runs without the packages that only `eval` needs.
-"""
+"""Lookup of functions of `eval` by name: training imports nothing of it, and runs without its packages."""
 
 from __future__ import annotations
 
