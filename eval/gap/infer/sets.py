@@ -192,7 +192,7 @@ class _Fits:
                 for name, (start, gain) in self._far_starts(fit.values).items():
                     others = [n for n in problem.library[name].confused_with if n in fit.names]
                     for names in (fit.names | {name}, *(fit.names - {n} | {name} for n in others)):
-                        if names not in fitted:
+                        if names in predicted and names not in fitted:  # no set above the largest size
                             far_starts[names] = start
                             predicted[names] = max(predicted[names], fit.score + gain)
                             near[names] = fit

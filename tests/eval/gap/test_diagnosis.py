@@ -289,6 +289,20 @@ def test_names_that_do_not_predict_better_are_dropped(wrong, monkeypatch):
     assert kept == {"thrust_scale": {"scale": 0.88}}
 
 
+def test_no_set_is_larger_than_the_largest(monkeypatch):
+    """Not even with an effect that is tried from a distant start."""
+    library = {name: LIBRARY[name] for name in ("thrust_scale", "wind")}
+    monkeypatch.setattr(sets, "MOST_EFFECTS", 1)
+    far = {"wind": {"wind": {"x": 2.0, "y": 0.0}}, "thrust_scale": {"thrust_scale": {"scale": 0.9}}}
+    monkeypatch.setattr(
+        sets._Fits, "_far_starts", lambda _, values: {n: (far[n], 1.0) for n in library if n not in values}
+    )
+    logs = flights({"thrust_scale": {"scale": 0.88}}, seed=1, count=2, seconds=4.0)
+    problem = Problem.of([prepare(log, VEHICLE) for log in logs], VEHICLE, library)
+    found = sets.search(*estimate_noise(problem))
+    assert found.best.names == {"thrust_scale"} and all(len(fit.names) <= 1 for fit in found.sets)
+
+
 def test_what_differs_between_flights_is_not_named():
     each = [{"thrust_scale": {"scale": s}} for s in (0.9, 1.1, 0.95, 1.12, 0.93)]
     d = quick(flights(each=each, count=5, seed=6, seconds=5.0))
