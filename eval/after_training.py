@@ -48,7 +48,7 @@ def report(folder: Path, metrics: dict, vehicle: Path | None, curriculum: Stages
 
     final = load(folder / "final.zip")
     filmed = in_fork(_film, final, folder)  # a process renders, `filmed()` waits for it
-    with ThreadPoolExecutor(1) as pool:  # beside the table, whose time is the engine's
+    with ThreadPoolExecutor(1) as pool:  # while the engine flies for the table
         figures = pool.submit(_draw, folder, final, curriculum)
         name, study = _study(final, metrics, load)
         results = run([study])

@@ -32,7 +32,7 @@ class Rules(NamedTuple):
 
 
 USUAL = Rules(settling=400_000, restarts=0, gate=0.7, floor=0.4)
-# On drawn vehicles in the plane, of which nobody lands all. In space a restart costs a million steps and
+# For drawn vehicles in the plane: no policy lands all of them. In space a restart costs a million steps and
 # gains little.
 DRAWN = Rules(settling=350_000, restarts=2, gate=0.5, floor=0.3)
 # Of `BalancedCurriculum`: share of gate and floor that success from either side of the goal must exceed; the

@@ -39,10 +39,8 @@ STIFFNESS, DAMPING, FARTHEST = 9.0, 5.0, 0.6
 AHEAD = 0.06  # s ahead of now, at which a trajectory is read
 LARGEST = 8.0  # m/s2, limit of the lead for the attitude loop along each axis
 SPOOL = 0.065  # s, lead of the thrust for the lag of the motors
-CUT_HEIGHT, CUT_ASIDE = (
-    0.03,
-    0.35,
-)  # m over the height at rest and beside the centre, within which motors stop
+CUT_HEIGHT = 0.03  # m over the height at rest, below which motors stop
+CUT_ASIDE = 0.35  # m from the centre, within which motors stop
 LEAST_THRUST = -0.8  # least thrust action in flight, clear of idle
 
 

@@ -41,7 +41,7 @@ def rendering_model(
     scale: size of the drawn vehicle, see `scale_vehicle`.
     """
     spec = build_spec(vehicle)
-    # What is not drawn, and the skin, which rays miss.
+    # These are not drawn; skins are, but rays miss them.
     for element in [*spec.actuators, *spec.sensors, *spec.keys, *spec.skins]:
         spec.delete(element)
     add_frame(spec, vehicle, _FAR_FRAME_RADIUS if far else _FRAME_RADIUS)

@@ -128,7 +128,7 @@ MUCH_LARGER = 1.75  # If the error that names leave is more than this many times
 # flights, then none of them is sure. Larger: fewer names doubted, more wrong ones sure. Measured: six, causes
 # outside the library: `unknown` in 6 of 7, a wrong name sure in 1; recorded, load sure in 6 of 6
 MAKES_UP = 0.5  # If a possible effect makes up at least this share of the squared error beyond the
-# reference's, then the verdict is undecided. Larger: more verdicts `unknown` beside the right possible name.
+# reference's, then the verdict is undecided. Larger: more verdicts `unknown` with the right possible name.
 # Measured: part, `unknown` for the one dead zone
 
 # Identifiability

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import dataclasses
 import math
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterator, Mapping
 from functools import partial
 from pathlib import Path
 from typing import Any
@@ -12,7 +12,6 @@ from typing import Any
 import pandas as pd
 
 from inclined_landing.envs.shared.measures import Measure, Row, median_of, share, share_of, with_ends
-from inclined_landing.envs.shared.pool import in_fork
 from inclined_landing.eval.base.style import save_figure
 from inclined_landing.eval.landings import maps, sensitivity
 from inclined_landing.eval.landings.landing import OUTCOMES
@@ -163,18 +162,12 @@ def _values(p: Levels | Range, factor: float) -> str:
 
 
 def _draw(drawn: Mapping[tuple[str, str], maps.Map], fixed: dict[str, float], out: Path) -> dict[str, str]:
-    """Write the maps into a folder, every other one in a forked process, and return their captions."""
-    files = {f"map_{x}_{y}.png": one for (x, y), one in drawn.items()}
-    entries = list(files.items())
-    others = in_fork(_save, entries[1::2], fixed, out)
-    _save(entries[::2], fixed, out)
-    others()
-    return {file: maps.map_words(one, fixed) for file, one in files.items()}
-
-
-def _save(entries: Sequence[tuple[str, maps.Map]], fixed: dict[str, float], out: Path) -> None:
-    for file, one in entries:
-        save_figure(maps.map_figure(one, fixed), out / file)
+    """Write the maps into a folder, and return their captions."""
+    captions = {}
+    for (x, y), one in drawn.items():
+        file = save_figure(maps.map_figure(one, fixed), out / f"map_{x}_{y}.png")
+        captions[file.name] = maps.map_words(one, fixed)
+    return captions
 
 
 def _remarks(study: Study, results: Results) -> list[str]:

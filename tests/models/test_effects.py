@@ -44,7 +44,7 @@ FREE = [
 BOTH = ("mujoco", "analytic")
 WEIGHT = V.body_mass * V.environment_gravity
 ALPHA = V.platform_inclination
-# The pitch that the moment of 1 mm beside the centre of mass makes: the loop's stiffness is B/tau inertia.
+# The pitch caused by a centre of mass 1 mm off: the loop's stiffness is B/tau inertia.
 TILT = 0.001 * WEIGHT * V.attitude_time_constant / (V.attitude_bandwidth * V.body_inertia[1])
 
 

@@ -64,7 +64,7 @@ class ErrorResponses:
         turned = of_step(
             lambda s: (s - (1.0 - np.exp(-turn_bandwidth * s)) / turn_bandwidth) / turn_bandwidth
         )
-        # What an unknown start state adds to a position, a tilt and the yaw, as functions of time, ...
+        # An unknown start state adds these functions of time to a position, a tilt and the yaw, ...
         line = np.stack([np.ones(rows), t], axis=1)
         tilt = np.stack(modes(t), axis=1)
         turn = np.stack([np.ones(rows), np.exp(-turn_bandwidth * t)], axis=1)

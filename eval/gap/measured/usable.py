@@ -226,7 +226,7 @@ def check_unused(logs: Iterable[FlightLog], used: Mapping[str, Sequence[int]], w
 
 
 class _Kept(NamedTuple):
-    """What is kept of a flight."""
+    """The part of a flight that is kept."""
 
     log: FlightLog
     poses: np.ndarray  # (m,) of its rows: see `poses`

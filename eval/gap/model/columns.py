@@ -53,9 +53,9 @@ BASE_DEVIATIONS = {
 ALONE = 0.05  # share of these that is free where no flights of a reference have shown them
 
 
-# How effects are fitted, beside their physics. Numbers were chosen on the development families of
-# docs/evidence/hidden_effects.md. An effect without an entry in FITTING is fitted from neutral, has no model
-# errors of its own, and varies by what is negligible.
+# These entries say how effects are fitted; their physics is in models/effects. Numbers were chosen on the
+# development families of docs/evidence/hidden_effects.md. An effect without an entry in FITTING is fitted from
+# neutral, has no model errors of its own, and varies by what is negligible.
 
 
 @dataclasses.dataclass(frozen=True)
@@ -145,7 +145,7 @@ class ParameterColumn(Struct, frozen=True, tag="parameter"):
 
     effect: str
     parameter: str
-    # Of a pair: the name of the reference, and the end of its range that this column is about. Else empty.
+    # A pair of columns has here the reference's name and the end of its range that each is about.
     fixed: tuple[tuple[str, float], ...] = ()
 
     @property

@@ -54,8 +54,9 @@ CHANNEL_GROUPS = {
     "requests": slice(6, 9),
 }
 _NEUTRAL = np.array(NEUTRAL)
-# Constants that act in the attitude loops alone, beside those of the table `attitude`: those of their plugin,
-# and the delay of their commands. Vehicles that differ in none of these share a prediction of the attitude.
+# These constants act in the attitude loops alone, as do those of the table `attitude`: the constants of the
+# loops' plugin, and the delay of their commands. Vehicles that differ in none of these share a prediction of
+# the attitude.
 _OF_THE_LOOPS = {*plugins.fields()["attitude"].values(), "effects_attitude_delay"}
 _fields = [f.name for f in dataclasses.fields(Vehicle)]
 _of_loops = [n for n in _fields if n in _OF_THE_LOOPS or n.startswith("attitude_")]
@@ -86,8 +87,8 @@ def predictor(like, vehicles: Sequence[Vehicle]) -> Callable[[Any], np.ndarray]:
     In memory they lie one channel after another.
     """
     packed = _packed(like, vehicles)
-    # For speed alone: vehicles whose measured attitude is corrected alike are predicted together, and what
-    # one has in common with the first of them (`same`) is taken from that.
+    # For speed alone: vehicles with the same correction of the measured attitude are predicted together, and
+    # what one has in common with the first of them (`same`) is taken from that.
     seen = [(v.effects_mocap_tilt, v.effects_estimator_delay) for v in vehicles]
     groups = []
     for alike in dict.fromkeys(seen):

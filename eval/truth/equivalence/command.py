@@ -16,7 +16,7 @@ def command(
 ) -> int:
     """Check the vehicle in MuJoCo against the paper's equations; writes a page of claims.
 
-    Takes about 10 s on two cores. The exit code is 1 if a claim does not hold.
+    Takes about 12 s on two cores. The exit code is 1 if a claim does not hold.
 
     Args:
         out: new folder for report.html, report.json and the figures.

@@ -73,7 +73,7 @@ ENTAILED: tuple[tuple[tuple[str, ...], tuple[str, ...], str], ...] = (
     ),
 )
 
-# Causes whose number is no number of the library's: it depends on a gain of the flight controller, or on a
+# Causes whose size is not a parameter of the library: it depends on a gain of the flight controller, or on a
 # constant that the library has in another place.
 NOT_COMPARED = {
     "com_offset": "the tilt that an offset makes is the one over the controller's stiffness",
