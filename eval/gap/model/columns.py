@@ -54,8 +54,8 @@ ALONE = 0.05  # share of these that is free where no flights of a reference have
 
 
 # These entries say how effects are fitted; their physics is in models/effects. Numbers were chosen on the
-# development families of docs/evidence/hidden_effects.md. An effect without an entry in FITTING is fitted from
-# neutral, has no model errors of its own, and varies by what is negligible.
+# development families of docs/evidence/hidden_effects.md. An effect without an entry in FITTING is fitted
+# from neutral, has no model errors of its own, and varies by what is negligible.
 
 
 @dataclasses.dataclass(frozen=True)
