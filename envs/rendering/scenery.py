@@ -55,6 +55,9 @@ def rendering_model(
         body.pos, body.quat = platform
         if has_base:
             add_prism(spec, *platform)
+    for geom in spec.geoms:
+        if geom.group > VISUAL_GROUP and not geom.name.startswith("foot_"):
+            spec.delete(geom)
     for geom in spec.geoms:  # the engine's ray culling knows colliding geoms only
         geom.contype = geom.conaffinity = 1
     return spec.compile()

@@ -6,6 +6,7 @@ import contextlib
 import dataclasses
 import itertools
 import pathlib
+import subprocess
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from typing import Any
 
@@ -43,7 +44,8 @@ from inclined_landing.models.base.errors import UserError
 
 FPS = 50.0  # one frame for every control step
 _ENDED = "ffmpeg was killed; is the disk full, the file too large (ulimit -f), or memory short?"
-_CODECS = {".mp4": "h264", ".gif": "gif"}
+_SUFFIXES = (".mp4", ".gif")
+_MP4 = ("-vcodec", "h264", "-qp", "20", "-preset", "veryfast")
 # The palette dithers only what moves.
 _GIF = ("-vf", "split[s0][s1];[s0]palettegen[p];[s1][p]paletteuse=diff_mode=rectangle")
 _HERO = np.array([1.75, 2.9, -1.0])  # where the hero camera looks, from its place
@@ -190,7 +192,7 @@ def write_videos(every: Mapping[pathlib.Path, int], frames, fps: float = FPS) ->
     and if ffmpeg fails, as on a full disk.
     """
     for path in every:
-        if path.suffix.lower() not in _CODECS:
+        if path.suffix.lower() not in _SUFFIXES:
             raise UserError(f"--out must be an .mp4 or .gif file, not {path.name!r}")
     frames = iter(frames)
     first = next(frames, None)
@@ -210,38 +212,40 @@ def write_videos(every: Mapping[pathlib.Path, int], frames, fps: float = FPS) ->
 
 @contextlib.contextmanager
 def _encoded(path: pathlib.Path, part: pathlib.Path, shape, fps: float) -> Iterator[Callable[[Any], None]]:
-    """Yield a function that adds a frame to the video that is written to `part`, the later `path`."""
-    import imageio_ffmpeg
-    import mediapy
+    """Yield a function that adds a frame to the video that ffmpeg writes to `part`, the later `path`.
 
-    codec = _CODECS[path.suffix.lower()]
-    quality = 20 if codec == "h264" else None
-    with _failures(path, part):
-        mediapy.set_ffmpeg(imageio_ffmpeg.get_ffmpeg_exe())
-        extra = _GIF if codec == "gif" else ()
-        writer = mediapy.VideoWriter(
-            part, shape, fps=fps, codec=codec, qp=quality, ffmpeg_args=extra
-        ).__enter__()
+    Raises UserError if ffmpeg is missing, was terminated, or cannot write.
+    """
+    import imageio_ffmpeg
+
+    height, width = shape
+    picture = ("-f", "rawvideo", "-pix_fmt", "rgb24", "-s", f"{width}x{height}", "-r", str(fps), "-i", "-")
+    coded: tuple[str, ...] = _GIF
+    if path.suffix.lower() == ".mp4":  # whose colours have half the resolution where the size is even
+        coded = (*_MP4, "-pix_fmt", "yuv444p" if height % 2 or width % 2 else "yuv420p")
+    pipe = subprocess.PIPE
+    try:
+        program = imageio_ffmpeg.get_ffmpeg_exe()
+        encoder = subprocess.Popen(
+            [program, "-v", "error", *picture, *coded, "-y", str(part)], stdin=pipe, stderr=pipe
+        )
+    except (OSError, RuntimeError) as error:
+        raise UserError(f"cannot write {path}: ffmpeg does not start ({storage.reason(error)})") from error
+
+    def finish() -> None:
+        said = encoder.communicate()[1].decode(errors="replace").strip()
+        if encoder.returncode:
+            last = said.rpartition("\n")[2].rpartition(": ")[2]
+            raise UserError(f"cannot write {path}: {last[0].lower() + last[1:] if last else _ENDED}")
 
     def add(frame: np.ndarray) -> None:
-        with _failures(path, part):
-            writer.add_image(frame)
+        try:
+            encoder.stdin.write(frame.tobytes())  # type: ignore[union-attr]
+        except BrokenPipeError:
+            finish()
+            raise
 
     try:
         yield add
     finally:
-        with _failures(path, part):
-            writer.close()
-
-
-@contextlib.contextmanager
-def _failures(path: pathlib.Path, part: pathlib.Path) -> Iterator[None]:
-    """Raise UserError if ffmpeg is missing, was terminated, or cannot write `part`."""
-    try:
-        yield
-    except (OSError, RuntimeError) as error:
-        text = storage.reason(error) if isinstance(error, OSError) else str(error)
-        last = text.removeprefix(f"Error writing '{part}': ").strip().rpartition("\n")[2].rpartition(": ")[2]
-        ended = isinstance(error, BrokenPipeError) or not last
-        reason = _ENDED if ended else last[0].lower() + last[1:]
-        raise UserError(f"cannot write {path}: {reason}") from error
+        finish()
