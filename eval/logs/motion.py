@@ -13,12 +13,12 @@ import math
 from collections.abc import Iterator
 
 import numpy as np
+import scipy  # whose submodules are imported when they are used
 from scipy.spatial.transform import Rotation
 
 from inclined_landing.eval.logs.findings import Finding, info, limit, refuse
 from inclined_landing.eval.logs.limits import LEAST_RATE
 from inclined_landing.eval.logs.log import MOTORS_OFF, FlightLog, runs
-from inclined_landing.eval.logs.smoothing import smoothed
 from inclined_landing.eval.logs.values import SHORTEST
 
 GRAVITY = 9.81
@@ -116,7 +116,7 @@ def _still(piece: FlightLog) -> np.ndarray:
     rows = 2 * max(2, round(WINDOW * piece.rate)) + 1
     if len(piece) < rows:
         return np.zeros(len(piece), bool)
-    velocity = smoothed(piece.position, rows, 1, 1, 1 / piece.rate)
+    velocity = scipy.signal.savgol_filter(piece.position, rows, 1, 1, 1 / piece.rate, axis=0)
     return np.linalg.norm(velocity, axis=1) < STILL
 
 
@@ -127,7 +127,7 @@ def _motion(log: FlightLog) -> dict[str, np.ndarray]:
         rows = int(WINDOW * RATE) | 1
         if not np.isfinite(value).all():
             return np.full(value.shape, np.nan)
-        return smoothed(value, rows, 2, order, 1 / RATE)
+        return scipy.signal.savgol_filter(value, rows, 2, order, 1 / RATE, axis=0)
 
     # The thrust points along (a_x, a_y, a_z + g): its tilt in the frame of the heading is
     # (a_x + i a_y) / (a_z + g) exp(-i yaw), for small angles pitch - i roll.

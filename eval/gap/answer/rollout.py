@@ -14,6 +14,7 @@ from collections.abc import Iterator, Sequence
 
 import numba
 import numpy as np
+import scipy  # whose submodules are imported when they are used
 
 from inclined_landing.eval.gap.measured.windows import (
     SMOOTHING,
@@ -32,7 +33,6 @@ from inclined_landing.eval.gap.model.prediction import (
 from inclined_landing.eval.gap.result import HORIZON
 from inclined_landing.eval.logs import FlightLog
 from inclined_landing.eval.logs.log import as_logs
-from inclined_landing.eval.logs.smoothing import polynomial_weights, smoothed
 from inclined_landing.models import equations, forces
 from inclined_landing.models.attitude import LAG, PITCH, ROLL, STATE_SIZE, VX, WX, WY, WZ, body_rates, tilted
 from inclined_landing.models.base.errors import UserError
@@ -124,10 +124,10 @@ def _smoothed_states(flight: MeasuredFlight) -> np.ndarray:
     dt = flight.dt
     wide, narrow = _filter_lengths(dt)
     state = np.zeros((flight.samples, STATE_SIZE))
-    state[:, :3] = smoothed(flight.position, wide, 2)
+    state[:, :3] = scipy.signal.savgol_filter(flight.position, wide, 2, axis=0)
     state[:, VX : VX + 3] = flight.velocity
-    state[:, ROLL : ROLL + 3] = smoothed(flight.attitude, narrow, 2)
-    rates = smoothed(flight.attitude, narrow, 2, 1, dt)
+    state[:, ROLL : ROLL + 3] = scipy.signal.savgol_filter(flight.attitude, narrow, 2, axis=0)
+    rates = scipy.signal.savgol_filter(flight.attitude, narrow, 2, 1, dt, axis=0)
     _turning(state, rates)
     return state
 
@@ -147,7 +147,7 @@ def start_state_noise(flight: MeasuredFlight) -> np.ndarray:
     dt = flight.dt
     wide, narrow = _filter_lengths(dt)
     factor = [
-        np.linalg.norm(polynomial_weights(n, 2, d, dt)[n // 2])
+        np.linalg.norm(scipy.signal.savgol_coeffs(n, 2, d, dt))
         for n, d in ((wide, 0), (wide, 1), (narrow, 0), (narrow, 1))
     ]
     p, a = flight.noise[:3], flight.noise[3:6]

@@ -7,10 +7,10 @@ import math
 from collections.abc import Sequence
 
 import numpy as np
+import scipy  # whose submodules are imported when they are used
 
 from inclined_landing.eval.gap.measured.windows import measurement_noise
 from inclined_landing.eval.logs import FlightLog
-from inclined_landing.eval.logs.smoothing import polynomial_weights
 from inclined_landing.models.attitude import ROLL, STATE_SIZE, VX, WX, body_rates
 from inclined_landing.models.vehicle import Vehicle
 
@@ -108,7 +108,7 @@ def _landing(
     length -= 1 - length % 2
     window = pose[first + ahead - length + 1 : first + ahead + 1]
     place = length - 1 - ahead
-    weights = [polynomial_weights(length, 2, d, dt)[place] for d in (0, 1)]
+    weights = [scipy.signal.savgol_coeffs(length, 2, d, dt, place, use="dot") for d in (0, 1)]
     value, rate = (w @ window for w in weights)
     gain = [np.linalg.norm(w) for w in weights]
     start = np.zeros(STATE_SIZE)

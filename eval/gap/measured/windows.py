@@ -12,13 +12,13 @@ from collections.abc import Sequence
 from functools import cached_property
 
 import numpy as np
+import scipy  # whose submodules are imported when they are used
 
 from inclined_landing.eval.gap import thresholds
 from inclined_landing.eval.gap.measured.noise import ErrorResponses, NoiseModel, Whitening
 from inclined_landing.eval.logs import FlightLog
 from inclined_landing.eval.logs.log import as_logs
 from inclined_landing.eval.logs.motion import standing
-from inclined_landing.eval.logs.smoothing import polynomial_weights, smoothed
 from inclined_landing.models.attitude import body_accelerations, euler_rates, rotations, tilted
 from inclined_landing.models.base.errors import UserError, first_of
 from inclined_landing.models.compiled import unlocked
@@ -196,7 +196,7 @@ class MotorRequests:
         # d = sum_i s_i r_i / sum_i r_i
         total = np.maximum(log.requests.sum(axis=1, keepdims=True), 1.0)
         differences = log.requests @ REQUEST_SIGNS.T / total
-        rates, second = (smoothed(attitude, 2 * half + 1, 3, k, dt) for k in (1, 2))
+        rates, second = (scipy.signal.savgol_filter(attitude, 2 * half + 1, 3, k, dt, axis=0) for k in (1, 2))
         turning = np.empty_like(attitude)
         for k, (angles, rate, acceleration) in enumerate(zip(attitude, rates, second)):
             turning[k] = body_accelerations(angles[0], angles[1], tuple(rate), tuple(acceleration))
@@ -258,7 +258,7 @@ def prepare(log: FlightLog, vehicle: Vehicle, *, platform: bool = False) -> Meas
     angle_known = ~np.isnan(log.attitude).any(axis=0)
     attitude = np.where(angle_known, log.attitude, 0.0)
     attitude[:, 2] = np.unwrap(attitude[:, 2])
-    velocity = smoothed(log.position, 2 * half + 1, 2, 1, dt)
+    velocity = scipy.signal.savgol_filter(log.position, 2 * half + 1, 2, 1, dt, axis=0)
     commanded = ~np.isnan(log.command).any(axis=0)
     command = np.where(np.isnan(log.command), 0.0, log.command)
     requests = MotorRequests.of(log, attitude, dt, half, vehicle)
@@ -365,8 +365,8 @@ def measurement_noise(values: np.ndarray) -> np.ndarray:
     """Return the standard deviation (k,) of the white noise in `values` (m, k), by a robust estimate."""
     # Residual r of a local cubic over seven rows (Savitzky-Golay), whose own weight in the fit is c:
     #   sigma = 1.4826 median |r| / sqrt(1 - c)
-    residual = (values - smoothed(values, 7, 3))[3:-3]
-    centre = polynomial_weights(7, 3)[3, 3]
+    residual = (values - scipy.signal.savgol_filter(values, 7, 3, axis=0))[3:-3]
+    centre = scipy.signal.savgol_coeffs(7, 3)[3]
     return 1.4826 * np.median(np.abs(residual), axis=0) / math.sqrt(1.0 - centre)
 
 

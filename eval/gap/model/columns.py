@@ -16,11 +16,11 @@ from collections.abc import Iterable, Mapping, Sequence
 from typing import ClassVar, TypeVar
 
 import numpy as np
+import scipy  # whose submodules are imported when they are used
 from msgspec import Struct
 
 from inclined_landing.eval.gap.measured.windows import MeasuredFlight
 from inclined_landing.eval.gap.model.prediction import CHANNEL_GROUPS
-from inclined_landing.eval.logs.smoothing import lagged
 from inclined_landing.models.attitude import LAG, STATE_SIZE
 from inclined_landing.models.effects import Effect, Parameter
 from inclined_landing.models.effects.effect import OFF
@@ -404,7 +404,10 @@ def _moved(second: np.ndarray, what: str, flight: MeasuredFlight) -> np.ndarray:
 def _quantity(what: str, flight: MeasuredFlight) -> np.ndarray:
     """Return the quantity (m,) of order one that a model error is proportional to."""
     if what == "load":
-        return (lagged(flight.command[:, 0], math.exp(-flight.dt / _MOTOR)) / _HOVER - 1.0) / _LOAD
+        pwm = flight.command[:, 0]
+        share = np.exp(-flight.dt / _MOTOR)
+        lagged = scipy.signal.lfilter([1.0 - share], [1.0, -share], pwm - pwm[0]) + pwm[0]
+        return (lagged / _HOVER - 1.0) / _LOAD
     if what == "speed":
         return np.hypot(flight.velocity[:, 0], flight.velocity[:, 1]) / _SPEED
     if what == "climb":

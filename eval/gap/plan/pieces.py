@@ -12,11 +12,11 @@ import math
 from collections.abc import Callable, Mapping, Sequence
 
 import numpy as np
+import scipy  # whose submodules are imported when they are used
 from scipy.ndimage import gaussian_filter1d
 
 from inclined_landing.eval.flying.tracking import Trajectory, thrust_and_angles
 from inclined_landing.eval.logs import FlightLog
-from inclined_landing.eval.logs.smoothing import lagged
 from inclined_landing.models.base.errors import UserError
 from inclined_landing.models.geometry import Shapes, shapes_of
 from inclined_landing.models.scene import compile_scene
@@ -316,7 +316,8 @@ def _doublet(seconds: float, *lags: float) -> np.ndarray:
     steps = np.concatenate([np.full(_rows(s), x) for x, s in parts])
     steps = gaussian_filter1d(steps, SMOOTHING * RATE, mode="nearest")
     for lag in lags:
-        steps = lagged(steps, math.exp(-1.0 / (lag * RATE)))
+        keep = math.exp(-1.0 / (lag * RATE))
+        steps = scipy.signal.lfilter([1.0 - keep], [1.0, -keep], steps)
     return steps
 
 

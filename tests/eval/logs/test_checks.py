@@ -6,7 +6,6 @@ import re
 import numpy as np
 import pandas
 import pytest
-import scipy.signal
 from scipy.spatial.transform import Rotation
 
 from inclined_landing.eval.cli import main
@@ -15,7 +14,6 @@ from inclined_landing.eval.logs.checks import check_fleet, enforce, hover_comman
 from inclined_landing.eval.logs.log import GAP_SECONDS
 from inclined_landing.eval.logs.motion import standing
 from inclined_landing.eval.logs.read import log_table
-from inclined_landing.eval.logs.smoothing import lagged, polynomial_weights, smoothed
 from inclined_landing.models.base.errors import UserError
 
 ATTITUDE_LAG, THRUST_LAG = 0.08, 0.05  # s
@@ -593,19 +591,3 @@ def test_a_column_is_no_measurement_and_a_command(tmp_path):
     )
     with pytest.raises(UserError, match=r"controller\.roll is read as roll and as a command"):
         read_log(tmp_path / "a.csv", mapping=tmp_path / "m.toml")
-
-
-@pytest.mark.parametrize("rows, degree, order, dt", [(5, 1, 1, 0.02), (7, 3, 0, 1.0), (21, 2, 2, 0.01)])
-def test_smoothing_is_that_of_scipy(rows, degree, order, dt):
-    """Savitzky and Golay's filter with its ends, its coefficients anywhere, and a first-order lag."""
-    values = np.random.default_rng(0).normal(size=(60, 2)).cumsum(axis=0)
-    expected = scipy.signal.savgol_filter(values, rows, degree, order, dt, axis=0)
-    # SciPy's powers of up to 20 rows lose five digits.
-    close = {"rtol": 1e-10, "atol": 1e-10 * np.abs(expected).max()}
-    np.testing.assert_allclose(smoothed(values, rows, degree, order, dt), expected, **close)
-    np.testing.assert_allclose(smoothed(values[:, 0], rows, degree, order, dt), expected[:, 0], **close)
-    weights = scipy.signal.savgol_coeffs(rows, degree, order, dt, 1, use="dot")
-    near = {"rtol": 1e-10, "atol": 1e-10 * np.abs(weights).max()}
-    np.testing.assert_allclose(polynomial_weights(rows, degree, order, dt)[1], weights, **near)
-    late = scipy.signal.lfilter([0.1], [1.0, -0.9], values[:, 0] - values[0, 0]) + values[0, 0]
-    np.testing.assert_allclose(lagged(values[:, 0], 0.9), late, rtol=0.0, atol=1e-12)
