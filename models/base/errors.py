@@ -10,7 +10,7 @@ from collections.abc import Iterable, Iterator, Sequence
 # Packages by the extra that installs them; others come with `eval` and with `train`.
 _EXTRAS = {
     "eval": (
-        *("scipy", "threadpoolctl", "pandas", "matplotlib", "PIL", "imageio_ffmpeg"),
+        *("scipy", "threadpoolctl", "pandas", "matplotlib", "PIL", "mediapy", "imageio_ffmpeg"),
         *("pyarrow", "jinja2", "rosbags"),
     ),
     "train": ("stable_baselines3", "torch", "tensorboard", "psutil", "tomlkit"),
