@@ -69,34 +69,38 @@ def completed(
             pool.shutdown(wait=False, cancel_futures=True)
 
 
-def in_fork(function: Callable[..., Item], *arguments: Any) -> Callable[[], Item]:
+def in_fork(function: Callable[..., Item], *arguments: Any, ticks: bool = False) -> Callable[..., Item]:
     """Begin a call in a forked process, and return a function that waits for its result.
 
     For work in Python, which takes turns with other threads of its process. Only what the call returns or
-    raises has to be picklable. The process ends with this one.
+    raises has to be picklable. The process ends with this one. ticks: the call gets an option `tick`, and the
+    words it gives to that are given to the tick that the returned function is called with.
     """
     fork = multiprocessing.get_context("fork")
     here, there = fork.Pipe(duplex=False)
 
     def answer() -> None:
+        options = {"tick": lambda words: there.send(("tick", words))} if ticks else {}
         try:
-            there.send((function(*arguments), None))
+            there.send(("result", function(*arguments, **options)))
         except BaseException as error:
-            there.send((None, error))
+            there.send(("error", error))
 
     process = fork.Process(target=answer, daemon=True)
     process.start()
     there.close()
 
-    def result() -> Item:
+    def result(tick: Callable[[str], None] = lambda words: None) -> Item:
         try:
-            found, error = here.recv()
+            while (message := here.recv())[0] == "tick":
+                tick(message[1])
         except EOFError:
-            found, error = None, UserError("a process of this command was killed; is memory short?")
+            message = "error", UserError("a process of this command was killed; is memory short?")
         process.join()
-        if error is not None:
-            raise error
-        return found
+        kind, value = message
+        if kind == "error":
+            raise value
+        return value
 
     return result
 

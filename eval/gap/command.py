@@ -27,21 +27,27 @@ def command(
         out: new folder for report.html, report.json, gap.png, vehicle.toml and landing.xml, and in reference/
             the vehicle that the flights were compared with, unless it is the shipped one.
     """
-    from inclined_landing.envs.shared import runs
-    from inclined_landing.envs.shared.progress import stages
-    from inclined_landing.eval.gap import diagnose
-    from inclined_landing.eval.gap.answer.identification import identify
-    from inclined_landing.eval.gap.measured.usable import read_flights
-    from inclined_landing.eval.gap.model.reference import read_reference
-    from inclined_landing.eval.gap.report import files, identified, page, words
-    from inclined_landing.eval.gap.result import REFERENCE
+    from inclined_landing.eval.gap.measured.usable import begin_reading
     from inclined_landing.models.parameters import load_vehicle
 
     given = load_vehicle(source.vehicle)
     began = time.monotonic()
+    reading = begin_reading(source, reference)
+
+    # Meanwhile everything else is imported, figures and plants for later.
+    import matplotlib.figure  # noqa: F401
+
+    from inclined_landing.envs.shared import runs
+    from inclined_landing.envs.shared.progress import stages
+    from inclined_landing.eval.gap import diagnose
+    from inclined_landing.eval.gap.answer.identification import identify
+    from inclined_landing.eval.gap.model.reference import read_reference
+    from inclined_landing.eval.gap.report import files, identified, page, words
+    from inclined_landing.eval.gap.result import REFERENCE
+    from inclined_landing.models import plants  # noqa: F401
+
     with stages(source.count + len(reference) + 4) as tick:  # every log, and the four ticks below
-        reading = source.options()  # of `read_log`: mapping, units and which rows
-        flights = read_flights(source.files, source.heldout, reference, tick=tick, **reading)
+        flights = reading(tick)
         notes, identification = [*flights.notes], None
         tick("identifying the reference vehicle" if flights.reference else "reading the vehicle file")
         if flights.reference:

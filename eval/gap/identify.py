@@ -17,17 +17,21 @@ def command(source: Flat[FlightSource], out: RunFolder) -> None:
         out: new folder for vehicle.toml, vehicle.posterior.json (posterior covariance, read by gap),
             report.html and report.json.
     """
-    from inclined_landing.envs.shared import runs
-    from inclined_landing.envs.shared.progress import stages
-    from inclined_landing.eval.gap.answer.identification import identify
-    from inclined_landing.eval.gap.measured.usable import read_flights
-    from inclined_landing.eval.gap.report import files, identified, page
+    from inclined_landing.eval.gap.measured.usable import begin_reading
     from inclined_landing.models.parameters import load_vehicle
 
     nominal = load_vehicle(source.vehicle)
     began = time.monotonic()
+    reading = begin_reading(source)
+
+    # Meanwhile everything else is imported.
+    from inclined_landing.envs.shared import runs
+    from inclined_landing.envs.shared.progress import stages
+    from inclined_landing.eval.gap.answer.identification import identify
+    from inclined_landing.eval.gap.report import files, identified, page
+
     with stages(source.count + 2) as tick:
-        flights = read_flights(source.files, source.heldout, tick=tick, **source.options())
+        flights = reading(tick)
         tick("fitting the vehicle")
         identification = identify(flights.logs, nominal, heldout=flights.heldout, platform=source.platform)
         tick("writing the report")

@@ -145,3 +145,11 @@ def test_a_call_in_a_fork_returns_raises_or_is_missed():
         in_fork(divmod, 7, 0)()
     with pytest.raises(UserError, match="was killed"):
         in_fork(os._exit, 1)()
+
+    def counted(last, tick):
+        for k in range(last):
+            tick(str(k))
+        return last
+
+    said: list[str] = []
+    assert in_fork(counted, 3, ticks=True)(said.append) == 3 and said == ["0", "1", "2"]

@@ -8,6 +8,7 @@ measured pose to the last digit while they move.
 from __future__ import annotations
 
 import dataclasses
+import functools
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from pathlib import Path
 from typing import Any, NamedTuple
@@ -15,6 +16,8 @@ from typing import Any, NamedTuple
 import numpy as np
 import pandas
 
+from inclined_landing.envs.shared.pool import in_fork
+from inclined_landing.eval.base.options import FlightSource
 from inclined_landing.eval.gap import thresholds
 from inclined_landing.eval.gap.measured.windows import IDLE, MeasuredFlight, prepare_all
 from inclined_landing.eval.gap.result import SetAside
@@ -43,6 +46,17 @@ class ReadFlights:
     heldout: list[FlightLog]
     reference: list[FlightLog]  # of the vehicle before, to identify it
     notes: tuple[str, ...]  # on limits that the flights of a group have in common
+
+
+def begin_reading(source: FlightSource, reference: Sequence[str] = ()) -> Callable[..., ReadFlights]:
+    """Begin `read_flights` in a forked process; returns a function of a tick that waits for the flights.
+
+    Meanwhile this process may import what comes next.
+    """
+    import scipy.signal  # noqa: F401  (here, as otherwise both processes would import it)
+
+    read = functools.partial(read_flights, **source.options())
+    return in_fork(read, source.files, source.heldout, reference, ticks=True)
 
 
 def read_flights(
