@@ -8,6 +8,7 @@ Symbols of the comments: position x, velocity v, attitude matrix R (body to worl
 in the body frame, Omega state of the thrust lag, phi, theta, psi roll, pitch and yaw.
 """
 
+import functools
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -303,6 +304,12 @@ def advance(state, commands, conditions, rate_loop, dt, substeps):
         conditions.ambient[i, TIME] = s.ambient[TIME]
 
 
+@functools.lru_cache(maxsize=8)
+def _alone(vehicle: Vehicle) -> Conditions:
+    """Return the conditions of one vehicle in still air, without perturbation."""
+    return Conditions(pack(vehicle), np.array([NEUTRAL]), free_air(1), load=hanging(1))
+
+
 @kernel
 def _derivatives(state, commands, conditions, rate_loop):
     """Return dy/dt (21,) of the integrated vector of one vehicle in a state (1, 13) under commands (1, 4)."""
@@ -321,9 +328,8 @@ def derivative(
     state (13,), command (4,). The dict has `acceleration` (3,) [m/s2], `euler_rates` (3,) [rad/s],
     `lag_rate` [PWM] and, for the rate loop, `euler_accelerations` (3,) [rad/s2].
     """
-    conditions = Conditions(pack(vehicle), np.array([NEUTRAL]), free_air(1), load=hanging(1))
     given = np.asarray(state, float)[None], np.asarray(command, float)[None]
-    dy = _derivatives(*given, conditions, bool(rate_loop))
+    dy = _derivatives(*given, _alone(vehicle), bool(rate_loop))
     result: dict[str, Any] = {
         "acceleration": dy[VX : VZ + 1].copy(),
         "euler_rates": dy[_PHI : _PSI + 1].copy(),
