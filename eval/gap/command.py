@@ -52,12 +52,14 @@ def command(
         tick("identifying the reference vehicle" if flights.reference else "reading the vehicle file")
         if flights.reference:
             identification = identify(flights.reference, given, platform=source.platform)
-            vehicle, known = files.as_written(identification), identification.reference
+            vehicle = files.as_written(identification)
+            known = identification.reference
             notes += identification.notes
             if identification.worse:
                 notes.append(identified.headline(identification))
         else:
-            vehicle, (known, ignored) = given, read_reference(source.vehicle, given)
+            vehicle = given
+            known, ignored = read_reference(source.vehicle, given)
             notes += [ignored] if ignored else []
         tick("searching for missing effects")
         d = diagnose(

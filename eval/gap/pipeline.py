@@ -66,11 +66,11 @@ def diagnose(
 
     # How probable is every set of effects?
     use, candidates = usable, identifiable
-    searched = with_loops = probable_sets(use.fitted, vehicle, candidates, reference)
-    notes = [*use.notes, *_data_notes(with_loops.problem), *unidentifiable]
-    if "wind" in candidates and "wind" not in with_loops.problem.library:
+    searched = probable_sets(use.fitted, vehicle, candidates, reference)
+    notes = [*use.notes, *_data_notes(searched.problem), *unidentifiable]
+    if "wind" in candidates and "wind" not in searched.problem.library:
         notes.append("the vehicle has almost no drag, so wind cannot be diagnosed")
-    if in_strong_wind(with_loops):  # search again without attitude loops and lags, which cannot be judged
+    if in_strong_wind(searched):  # search again without attitude loops and lags, which cannot be judged
         notes.append(_IN_WIND)
         use = usable.without_angle_commands(vehicle)
         candidates = {name: effect for name, effect in identifiable.items() if not effect.is_lag}
@@ -89,8 +89,8 @@ def diagnose(
     ahead = selection.open_loop_errors(found, correction, use.judged, values, plants)
     residual = analyse_residual(found, correction.vehicle, ahead.error)
     known = reference.errors if reference else None
-    least = cost_beyond_doubt(residual, ahead.gap.get("analytic"), known)
-    effects = named_effects(found, values, ahead.named, least)
+    least_cost = cost_beyond_doubt(residual, ahead.gap.get("analytic"), known)
+    effects = named_effects(found, values, ahead.named, least_cost)
     landings = reference.landings if reference else None
     contact = contact_answer(use, vehicle, correction.vehicle, candidates, landings)
 
@@ -131,11 +131,12 @@ def probable_sets(
 
 
 def named_effects(
-    found: SetPosterior, values: Values, ahead: Mapping[str, Displacement], least: float
+    found: SetPosterior, values: Values, ahead: Mapping[str, Displacement], least_cost: float
 ) -> tuple[NamedEffect, ...]:
     """Return the named effects with estimates, in the order of `values`.
 
-    ahead: what each does to the error one second ahead. least: the cost [m] above which none is in doubt.
+    ahead: what each does to the error one second ahead. least_cost [m]: an effect that costs no more is in
+    doubt; 0: none is for its cost, which may be unknown.
     """
     problem, library = found.problem, found.problem.library
     gains = selection.squared_error_shares(problem, values)
@@ -150,9 +151,9 @@ def named_effects(
         parameters = {"response": sizes.response(found, values, lags)} if is_loop else estimates[name]
         classes = ((*equivalence_class(found, n), *_predicting_as_well(found, values, n)) for n in names)
         members = tuple(dict.fromkeys(itertools.chain(*classes)))
-        too_small = least > 0.0 and not ahead[name].cost > least
+        costs_enough = least_cost == 0.0 or ahead[name].cost > least_cost
         cancelled = may_cancel and library[name].changes_hover
-        doubt = _doubt(problem, name, ahead[name].along, too_small, cancelled)
+        doubt = _doubt(problem, name, ahead[name].along, not costs_enough, cancelled)
         doubt = doubt or _doubt_next_to(library, name, [one.name for one in result])
         result.append(
             NamedEffect(
@@ -180,14 +181,13 @@ def _predicting_as_well(found: SetPosterior, values: Values, name: str) -> list[
     judged_by = selection.judged_by(effect, values[name])
     if not judged_by or all(p.linear for p in effect.parameters):
         return []
-    others = [n for n in effect.confused_with if n in found.problem.library and n not in values]
-
-    def errors_with(other: str) -> np.ndarray:
-        names = frozenset(values) - {name} | {other}
-        return selection.fitted_to_others(found, names).pose_errors[judged_by]
-
-    here = errors_with(name)
-    return [n for n in others if (errors_with(n) <= here).all()]
+    result, here = [], selection.fitted_to_others(found, frozenset(values)).pose_errors[judged_by]
+    for other in effect.confused_with:
+        if other in found.problem.library and other not in values:
+            instead = selection.fitted_to_others(found, frozenset(values) - {name} | {other})
+            if (instead.pose_errors[judged_by] <= here).all():
+                result.append(other)
+    return result
 
 
 def _doubt(problem: Problem, name: str, along: Mapping[str, float], too_small: bool, cancelled: bool) -> str:
@@ -209,12 +209,12 @@ def _doubt(problem: Problem, name: str, along: Mapping[str, float], too_small: b
         return "In doubt, because the named effects leave more than noise and disturbances would."
     if cancelled:
         return "In doubt, because the named effects together may leave thrust over weight as modelled."
-    # Does it move the vehicle by less than the reference is wrong where it was right before?
+    # Does it move the vehicle, along the axis where most, by less than the identified one is worse there?
     worse = problem.reference.errors.worse if problem.reference and problem.reference.errors else {}
-    most = max(along, key=lambda axis: along[axis], default="")
+    main = max(along, key=lambda axis: along[axis], default="")
+    moved = {"position": math.hypot(*along.values()), main: along.get(main, math.nan)}
     for where, (before, after) in worse.items():
-        moved = math.hypot(*along.values()) if where == "position" else along.get(where, math.nan)
-        if where in ("position", most) and moved < after:
+        if where in moved and moved[where] < after:
             return (
                 f"In doubt, because the identified vehicle predicts {where} of its own flights worse than "
                 f"the vehicle before did ({100 * after:.1f} cm for {100 * before:.1f} cm one second ahead): "

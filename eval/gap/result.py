@@ -382,9 +382,11 @@ class Diagnosis:
         less may be the reference's own error.
         """
         repeating, ahead = self.residual.repeating, self.ahead
+        if not repeating > self.explained:
+            return False
         if self.reference and ahead and ahead.after <= self.reference.error:
-            return repeating > self.explained and repeating**2 > thresholds.MOSTLY * ahead.after**2
-        return repeating > self.explained and self.residual.unexplained
+            return repeating**2 > thresholds.MOSTLY * ahead.after**2  # a share of a squared error
+        return self.residual.unexplained
 
     @property
     def explained(self) -> float:

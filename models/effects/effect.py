@@ -18,6 +18,9 @@ AIR_DENSITY = 1.2  # kg/m3
 # the vehicle stand askew: a deck of 3 g at an arm moves it by 3 mm.
 HELD = 2.5
 OFF = 8.0  # negligible sizes by which the reference of an effect may well be off
+# Limits, chosen by hand, of how the sizes of a factor change with the vehicle: so many times, and a factor as
+# low as this stays within the bounds.
+LEAST_TIMES, MOST_TIMES, ROOM_BELOW = 0.1, 20.0, 0.8
 
 
 def mass(vehicle: Vehicle) -> float:
@@ -172,18 +175,21 @@ class Parameter:
             return dataclasses.replace(self, bounds=bounds, one_signed=False)
         if not self.is_factor or not self.reported:
             return self
+        # A factor f on a time T of the vehicle changes it by as much as f_0 changes that of the shipped one:
+        #   (f - 1) T = (f_0 - 1) T_0,   f - 1 = times (f_0 - 1),   times = T_0 / T
         times = self._unit_of(load_vehicle()) / self._unit_of(vehicle)
         if self.fields[0].startswith("drag_coefficients"):
             times *= heavy_rotor_drag(vehicle) / heavy_rotor_drag(load_vehicle())
-        times = float(np.clip(times, 0.1, 20.0))
+        times = float(np.clip(times, LEAST_TIMES, MOST_TIMES))
         plausible = 1.0 + (self.plausible - 1.0) * times
+        # The lower bound: no quicker than the shipped vehicle, as an engine's step could not follow. Bounds
+        # are never closer to 1 than the shipped vehicle's.
+        low = min(ROOM_BELOW, self.bounds[0] * max(1.0, times))
+        high = 1.0 + (self.bounds[1] - 1.0) * max(1.0, times)
         return dataclasses.replace(
             self,
-            # No quicker than of the shipped vehicle: an engine's step could not follow.
-            bounds=(
-                min(0.8, self.bounds[0] * max(1.0, times)),
-                1.0 + (self.bounds[1] - 1.0) * max(1.0, times),
-            ),
+            bounds=(low, high),
+            # Below the bounds, a factor as far on the other side of 1 is as plausible.
             plausible=plausible if plausible > self.bounds[0] else 2.0 - plausible,
             negligible=self.negligible * times,
             times=self.times * times,
@@ -289,11 +295,14 @@ class Effect:
         """The reference value about which the others act, if there is one in which the effect is linear."""
         return next((p for p in self.parameters if p.is_reference and p.linear), None)
 
+    # A size x about a reference r is the two sizes (1 - t) x about the lowest reference r_0 and t x about the
+    # highest, r_1:  f(r) = (1 - t) f(r_0) + t f(r_1),  where f(r), in which the effect is linear, is r, but
+    # 1/r for a reference in PWM, because load is relative to it, 1 - load/r.
+
     def at_ends(self, value: float, reference: float) -> tuple[float, float]:
         """Return the two sizes, about the lowest and the highest reference, whose sum equals this one."""
         about = self._about
         ends = (*about.either_side(), reference)
-        # 1 - load/reference is linear in 1/reference
         first, last, at = (1.0 / x for x in ends) if about.unit == "PWM" else ends
         share = (first - at) / (first - last)
         return value * (1.0 - share), value * share
@@ -308,6 +317,11 @@ class Effect:
             inverse = (1.0 - share) / first + share / last
             return value, 1.0 / inverse if inverse > 0.0 else about.bounds[1]
         return value, first + share * (last - first)
+
+    def values_from_ends(self, low: float, high: float) -> dict[str, float]:
+        """Return the values of the first parameter and the reference, by `from_ends`."""
+        first, (size, reference) = self.parameters[0], self.from_ends(low, high)
+        return {first.name: first.neutral + size, self._about.name: reference}
 
     @property
     def _about(self) -> Parameter:

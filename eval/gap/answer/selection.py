@@ -3,9 +3,11 @@
 from __future__ import annotations
 
 import dataclasses
+import itertools
 import math
 from collections.abc import Mapping, Sequence, Set
 from functools import cached_property
+from typing import NamedTuple
 
 import numpy as np
 
@@ -39,6 +41,13 @@ from inclined_landing.models.vehicle import Vehicle
 LOOPS = frozenset(("attitude", "yaw"))  # channels of effects on the loops alone
 
 
+class JudgedFlights(NamedTuple):
+    """Flights that errors are measured on, each with a vehicle that was not fitted to it."""
+
+    flights: Sequence[MeasuredFlight]
+    vehicles: list[Vehicle]
+
+
 @dataclasses.dataclass(frozen=True)
 class Refit:
     """Values of effects fitted to the flights of a problem, and those fitted without each flight."""
@@ -66,14 +75,11 @@ class Refit:
         """Return for every flight the vehicle fitted to the others."""
         return [self.problem.corrected(values) for values in self.left_out]
 
-    def judged(self, heldout: Sequence[MeasuredFlight]) -> tuple[Sequence[MeasuredFlight], list[Vehicle]]:
-        """Return the flights that errors are measured on, each with a vehicle that was not fitted to it.
-
-        They are those held out; without any, the flights fitted.
-        """
+    def judged(self, heldout: Sequence[MeasuredFlight]) -> JudgedFlights:
+        """Return the flights that errors are measured on: those held out; without any, the flights fitted."""
         if heldout:
-            return heldout, [self.vehicle] * len(heldout)
-        return self.problem.flights, self.vehicles
+            return JudgedFlights(heldout, [self.vehicle] * len(heldout))
+        return JudgedFlights(self.problem.flights, self.vehicles)
 
     @cached_property
     def pose_errors(self) -> np.ndarray:
@@ -179,18 +185,20 @@ def _least_distinct(found: SetPosterior, values: FittedValues) -> str | None:
 def _is_distinct(found: SetPosterior, values: FittedValues, name: str, firm: Set[str]) -> bool:
     """Return whether an effect is to be named: it must have a firm size, or show one second ahead.
 
-    Without either, other effects explain it. A change of the loops alone, next to a larger effect, must have
-    both, as no loop is quite of the modelled form and the vehicle's constants are estimated again; the latter
-    alone is enough only if no other effect is firm. A moment must have a firm size, unless the motors'
-    requests were logged.
+    Without either, other effects explain it. For two kinds of effects one of these is not enough:
+    - A change of the loops alone, next to a larger effect, must have both, because no loop is quite of the
+      modelled form and the vehicle's constants are estimated again. If no effect is firm, it is enough that
+      it shows. Pieces of the attitude loops have one size together, and need not show each.
+    - A moment must have a firm size, unless the motors' requests were logged.
     """
     channels = found.problem.library[name].channels
-    loop_next_to_larger = name != next(iter(values)) and LOOPS.issuperset(channels)
-    is_piece = name in loop_pieces(found.problem, values)  # all pieces have one size
-    unseen_moment = "requests" in channels and not found.problem.requested
-    if name in firm and (is_piece or not loop_next_to_larger):
-        return True
-    if name not in firm and (unseen_moment or (loop_next_to_larger and firm)):
+    next_to_larger = name != next(iter(values))
+    is_piece = name in loop_pieces(found.problem, values)
+    must_have_both = next_to_larger and LOOPS.issuperset(channels)
+    must_be_firm = "requests" in channels and not found.problem.requested
+    if name in firm:
+        return is_piece or not must_have_both or _shows_ahead(found, values, name)
+    if must_be_firm or (must_have_both and firm):
         return False
     return _shows_ahead(found, values, name)
 
@@ -245,16 +253,20 @@ def fitted_values(found: SetPosterior, names: EffectSet) -> FittedValues:
 
 
 def refitted(found: SetPosterior, values: FittedValues) -> tuple[SetPosterior, FittedValues]:
-    """Return the posterior linearised again at a set's values, and the values there, largest gain first."""
-    # A linearisation about other values may give two effects sizes that cancel, though neither is there.
-    names, problem = frozenset(values), found.problem
-    if names and problem.identified:
-        columns = problem.all_columns() + problem.form_columns(values)
-        local = LinearGaussian.of(problem, found.spread, problem.linearise(values, columns))
-        there = dataclasses.replace(found, best=dataclasses.replace(found.best, local=local))
-        new = fitted_values(there, names)
-        if problem.squares(new) <= problem.squares(values):
-            found, values = there, new
+    """Return the posterior linearised again at a set's values, and the values there, largest gain first.
+
+    A linearisation about other values may give two effects sizes that cancel, though neither is there. Values
+    of a vehicle that was not identified come from the simulator itself (`fitted_values`), and stay.
+    """
+    problem = found.problem
+    if not (values and problem.identified):
+        return found, _largest_first(problem, values)
+    columns = problem.all_columns() + problem.form_columns(values)
+    local = LinearGaussian.of(problem, found.spread, problem.linearise(values, columns))
+    there = dataclasses.replace(found, best=dataclasses.replace(found.best, local=local))
+    new = fitted_values(there, frozenset(values))
+    if problem.squares(new) <= problem.squares(values):
+        return there, _largest_first(problem, new)
     return found, _largest_first(problem, values)
 
 
@@ -287,30 +299,41 @@ def corrected(found: SetPosterior, values: FittedValues) -> Refit:
         return named_alone
     again, local = fit_vehicle(problem, found.spread, values, names)
     moved = vehicles_a_half_width_away(problem, local, names, again)
-    widths = field_half_widths(problem.vehicle, problem.corrected(again), moved)
-    all_again = Refit(problem, again, leave_one_out_modes(problem, local, names), widths)
-    return min(named_alone, all_again, key=lambda fit: fit.pose_errors[0])
+    all_again = Refit(
+        problem=problem,
+        values=again,
+        left_out=leave_one_out_modes(problem, local, names),
+        half_widths=field_half_widths(problem.vehicle, problem.corrected(again), moved),
+    )
+    return min(named_alone, all_again, key=lambda fit: fit.pose_errors[0])  # of the position
 
 
 def regime_errors(correction: Refit, heldout: Sequence[MeasuredFlight]) -> tuple[RegimeError, ...]:
     """Return the root mean square errors by regime and channel, before and after, on flights not fitted."""
-    problem, (_, after) = correction.problem, correction.judged(heldout)
+    problem, judged = correction.problem, correction.judged(heldout)
     if heldout:
         test = Problem.of(heldout, problem.vehicle, {})
         problem = test.whitened(problem.noise_model, correction.vehicle)
-    before = problem.white_errors([problem.vehicle] * len(after))
-    first, variance = residual.equivalent_sizes(problem, before)
-    second, _ = residual.equivalent_sizes(problem, problem.white_errors(after))
+    nominal = [problem.vehicle] * len(judged.flights)
+    before, variance = residual.equivalent_sizes(problem, problem.white_errors(nominal))
+    after, _ = residual.equivalent_sizes(problem, problem.white_errors(judged.vehicles))
     regimes = np.concatenate([f.regimes for f in problem.flights])
+    members = {"all": np.ones(len(regimes), bool), **dict(zip(REGIMES, regimes.T))}
     rows = []
-    for name, member in [("all", np.ones(len(regimes), bool)), *zip(REGIMES, regimes.T)]:
-        for k, channel in enumerate(channels_of(problem)):
-            w = member & (problem.logged[:, k] > 0.0)
-            if w.any():
-                worse, better = (float(np.sqrt((x[w, k] ** 2).mean())) for x in (first, second))
-                floor = float(np.sqrt(variance[w, k].mean()))
-                unit = residual.UNITS[channel]
-                rows.append(RegimeError(name, channel, worse, better, floor, unit, int(w.sum())))
+    for name, k in itertools.product(members, range(problem.channels)):
+        channel, w = channels_of(problem)[k], members[name] & (problem.logged[:, k] > 0.0)
+        if w.any():
+            rows.append(
+                RegimeError(
+                    regime=name,
+                    channel=channel,
+                    before=float(np.sqrt((before[w, k] ** 2).mean())),
+                    after=float(np.sqrt((after[w, k] ** 2).mean())),
+                    floor=float(np.sqrt(variance[w, k].mean())),
+                    unit=residual.UNITS[channel],
+                    windows=int(w.sum()),
+                )
+            )
     return tuple(rows)
 
 
@@ -342,57 +365,70 @@ def open_loop_errors(
     plants: Sequence[str],
 ) -> OpenLoopErrors:
     """Return the open-loop predictions of flights that were not fitted; values: of the named effects."""
-    problem, (flights, after) = found.problem, correction.judged(heldout)
+    problem, judged = found.problem, correction.judged(heldout)
     try:
-        starts = rollout.RolloutWindows.of(flights)
+        starts = rollout.RolloutWindows.of(judged.flights)
     except UserError as why:
         unknown = dict.fromkeys(values, Displacement())
         return OpenLoopErrors(named=unknown, notes=(f"the gap after one second was not measured: {why}",))
     floor = rollout.noise_floor(starts, correction.vehicle)
-    error = float(rollout.errors_by_flight(starts, after)[-1])
-    pieces = loop_pieces(problem, values)
-    named = {n: _displacement(problem, starts, values, pieces if n in pieces else (n,)) for n in values}
-    vehicles = correction.vehicle if heldout else after
     gap, notes = {}, []
     for plant in dict.fromkeys(("analytic", *plants)):
         try:
             gap[plant] = PlantGap(
                 before=float(rollout.errors_by_flight(starts, problem.vehicle, plant)[-1]),
-                after=float(rollout.errors_by_flight(starts, vehicles, plant)[-1]),
+                after=float(rollout.errors_by_flight(starts, judged.vehicles, plant)[-1]),
                 floor=float(floor[-1]),
                 windows=len(starts),
                 horizon=starts.rows * starts.dt,
             )
         except UserError as why:  # as loops that are too fast for the engine's step
             notes.append(f"the gap was not measured in {plant}: {why}")
+    pieces = loop_pieces(problem, values)
     classes = {member for name in values for member in equivalence_class(found, name)}
-    moved = _displacements(found, starts, classes)
-    growth = _growth(problem, starts, values, vehicles, floor, correction.half_widths is not None)
-    return OpenLoopErrors(error, named, gap, moved, growth, tuple(notes))
+    return OpenLoopErrors(
+        error=float(rollout.errors_by_flight(starts, judged.vehicles)[-1]),
+        named={n: _displacement(problem, starts, values, pieces if n in pieces else (n,)) for n in values},
+        gap=gap,
+        displacements=_displacements(found, starts, classes),
+        growth=ErrorGrowth(
+            horizon=np.arange(1, starts.rows + 1) * starts.dt,
+            errors=_errors_in_turn(starts, correction, values, judged.vehicles),
+            floor=floor,
+        ),
+        notes=tuple(notes),
+    )
 
 
-def _growth(problem: Problem, starts, values: Values, corrected, floor, others: bool) -> ErrorGrowth:
-    """Return the errors with the effects of `values` added in turn; the last are of the corrected vehicle.
+def _errors_in_turn(
+    starts: rollout.RolloutWindows, correction: Refit, values: Values, corrected: Sequence[Vehicle]
+) -> dict[str, np.ndarray]:
+    """Return the errors of the nominal vehicle (""), and with the effects of `values` added in turn.
 
-    others: the constants of the identified vehicle change as well.
+    The last are of the corrected vehicles. They stand under the last effect, or under "all others" if other
+    constants of an identified vehicle change as well.
     """
-    vehicles, names = {"": problem.vehicle}, list(values)
+    problem, names = correction.problem, list(values)
+    vehicles: dict[str, Vehicle | Sequence[Vehicle]] = {"": problem.vehicle}
     for k, name in enumerate(names, 1):
-        vehicles[name] = problem.corrected({name: values[name] for name in names[:k]})
-    if others:
-        names.append("all others")
-    if names:
+        vehicles[name] = problem.corrected({n: values[n] for n in names[:k]})
+    if correction.half_widths is not None:
+        vehicles["all others"] = corrected
+    elif names:
         vehicles[names[-1]] = corrected
-    errors = {name: rollout.errors_by_flight(starts, vehicle) for name, vehicle in vehicles.items()}
-    return ErrorGrowth(np.arange(1, starts.rows + 1) * starts.dt, errors, floor)
+    return {name: rollout.errors_by_flight(starts, vehicle) for name, vehicle in vehicles.items()}
 
 
-def _displacement(problem: Problem, starts, values: Values, names: Sequence[str]) -> Displacement:
+def _displacement(
+    problem: Problem, starts: rollout.RolloutWindows, values: Values, names: Sequence[str]
+) -> Displacement:
     """Return the error after one second that effects account for, and how far they move the vehicle."""
     # cost^2 = e_without^2 - e_with^2
-    measured, both = starts.measured(), (without(values, *names), values)
-    rest, whole = (rollout.simulate(starts, problem.corrected(v)) for v in both)
-    worse, better = (rollout.position_error(pose, measured)[-1] for pose in (rest, whole))
+    measured = starts.measured()
+    rest = rollout.simulate(starts, problem.corrected(without(values, *names)))
+    whole = rollout.simulate(starts, problem.corrected(values))
+    worse = rollout.position_error(rest, measured)[-1]
+    better = rollout.position_error(whole, measured)[-1]
     moved = np.sqrt(((whole - rest)[:, -1, :3] ** 2).mean(axis=0))
     return Displacement(float(np.sqrt(max(0.0, worse**2 - better**2))), dict(zip("xyz", map(float, moved))))
 

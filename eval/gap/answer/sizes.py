@@ -71,15 +71,19 @@ def _extrapolated(size: float, half: float, share: float) -> tuple[float, float]
     ends = size - half, size + half
     if not (share and size):
         return ends
-    # log |x| ~ N(log |size|, s^2 + share^2), s from each end in turn
-    result = []
-    for end in ends:
-        ratio = end / size
-        if ratio > 0.0:
-            distance = math.hypot(math.log(ratio), ndtri(0.975) * share)
-            end = size * math.exp(math.copysign(distance, ratio - 1.0))
-        result.append(end)
-    return result[0], result[1]
+    low, high = (_extrapolated_end(size, end, share) for end in ends)
+    return low, high
+
+
+def _extrapolated_end(size: float, end: float, share: float) -> float:
+    """Return the end of a size's interval, where that is also uncertain by a share."""
+    # The logarithm of the size is normal, with the variances of both:
+    #   log |x| ~ N(log |size|, s^2 + share^2),   1.96 s = |log(end / size)|
+    ratio = end / size
+    if ratio <= 0.0:
+        return end
+    distance = math.hypot(math.log(ratio), ndtri(0.975) * share)
+    return size * math.exp(math.copysign(distance, ratio - 1.0))
 
 
 def loop_pieces(problem: Problem, values: Values) -> tuple[str, ...]:
@@ -166,10 +170,7 @@ def propagated(
             else:
                 there[c.effect][c.key[1]] = problem.parameter(c).value_at(x)
         for name, sizes in ends.items():
-            effect = problem.library[name]
-            first, (size, about) = effect.parameters[0], effect.from_ends(*sizes)
-            there[name] |= {first.name: first.neutral + size}
-            there[name] |= {p.name: about for p in effect.parameters if p is effect.reference}
+            there[name] |= problem.library[name].values_from_ends(*sizes)
         return of(there)
 
     here = of(values)
@@ -180,7 +181,7 @@ def propagated(
 
 def product(found: SetPosterior, values: Values, name: str) -> Quantity:
     """Return the acceleration [m/s2] that an effect makes in hover."""
-    # The others as they are:  C = (a + V^-1)^-1
+    # With the vehicle and all other effects as they are, information a and slab V:  C = (a + V^-1)^-1
     local = found.local.for_sizes_of(frozenset(values))
     own = size_columns(found.problem, local, [name])
     information = local.a.sum(axis=0)[np.ix_(own, own)] + np.linalg.inv(local.slab[np.ix_(own, own)])
@@ -213,8 +214,9 @@ def thrust_of_names(found: SetPosterior, values: Values) -> Quantity | None:
     """Return `thrust_over_weight` with the identified vehicle's taken as known."""
     problem = found.problem
     names = [name for name, effect in problem.library.items() if effect.changes_hover and name in values]
-    ratios = [name for name in names if problem.library[name].parameters[0].neutral == 1.0]
-    if not names or names == ratios[:1]:
+    if not names or (
+        len(names) == 1 and problem.library[names[0]].parameters[0].is_factor
+    ):  # itself the ratio
         return None
     value, (low, high) = jointly(found, values, names, lambda at: _thrust_ratio(problem, at))
     # Var = Var within the named set + sum_s p_s (r_s - r)^2 over the sets s
@@ -228,18 +230,20 @@ def _thrust_ratio(problem: Problem, at: Values, vehicle: Vehicle | None = None) 
     usual = float(np.median(np.concatenate([f.command[f.usable, 0] for f in problem.flights])))
     changed = Candidates(vehicle or problem.vehicle, problem.library)
     its = {n: at[n] for n, effect in problem.library.items() if effect.changes_hover and n in at}
+    # The vertical acceleration of the level vehicle:  a = thrust / mass - g
     gravity = problem.vehicle.environment_gravity
-    thrust, before = (float(c.hover_acceleration(v, usual)[2]) for c, v in ((changed, its), (problem, {})))
-    return (thrust + gravity) / (before + gravity)
+    after = float(changed.hover_acceleration(its, usual)[2])
+    before = float(problem.hover_acceleration({}, usual)[2])
+    return (after + gravity) / (before + gravity)
 
 
 def _reference_half_width(problem: Problem) -> float:
     """Return the half-width of the interval of the identified vehicle's own thrust over weight, over it."""
-    # Propagation of errors, as `propagated`
+    # Propagation of errors, as in `propagated`:  var = g' C g,  from the ratio 1 of the vehicle itself
     names = [name for name, effect in problem.library.items() if effect.changes_hover]
     columns = [c for c in problem.columns(names) if isinstance(c, ParameterColumn)]
     moved = [problem.one_sided_difference({}, c) for c in columns]
-    slope = np.array([(_thrust_ratio(problem, {}, vehicle) - 1.0) / step for vehicle, step in moved])
+    slope = np.array([(_thrust_ratio(problem, {}, one.vehicle) - 1.0) / one.step for one in moved])
     variance = slope @ problem.vehicle_prior(columns)[1] @ slope
     return half_width(problem, np.sqrt(variance))
 

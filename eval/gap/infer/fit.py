@@ -24,7 +24,13 @@ from inclined_landing.models.vehicle import Vehicle
 
 MODEL_ERRORS = np.array([0.0, *np.geomspace(0.002, 0.5, 30)])  # f, multiplicative model errors that are tried
 ALTERNATIONS = 4  # rounds, at most, of fitting effects and noise model in turn
+SETTLED, SMALL_SIZE = 0.15, 1e-3  # relative and absolute change of the disturbance's size that ends these
 ROUGH_ITERATIONS, ROUGH_TOLERANCE = 3, 5.0  # of a round's fit: the next one begins where it ends
+FIRST_DAMPING, MOST_DAMPING, LEAST_DAMPING = (
+    1e-3,
+    1e4,
+    1e-9,
+)  # as by Marquardt; beyond the most, no step helps
 LAGS = 4  # windows over which autocorrelations are summed
 ROUNDS = 8  # of Newton's method
 STEP_SHARES = (1.0, 0.5, 0.25, 0.1)  # of a Newton step, the first that decreases the deviance
@@ -59,58 +65,72 @@ def fit_least_squares(
     tolerance: decrease of the cost that ends the iteration. prior: gives the standard deviations (P,) of the
     columns about neutral; None: flat.
     """
-    names = list(values)
     start = {name: problem.neutral(name) | dict(v) for name, v in values.items()}
-    damping = 1e-3
     columns: list[Column] = [
         ParameterColumn(name, p.name)
-        for name in names
+        for name in start
         if name != BASE
         for p in problem.library[name].parameters
     ]
-    columns += problem.columns([BASE] if BASE in names else ())
+    columns += problem.columns([BASE] if BASE in start else ())
     fit = LeastSquaresFit(problem, start, columns, problem.squares(start))
     width = prior(problem, columns) if prior else np.full(len(columns), np.inf)
-
-    def penalty(at: Values) -> float:  # sum_k (x_k / width_k)^2
-        return float(((problem.coordinates(at, columns) / width) ** 2).sum())
-
-    # Damping lambda as by Marquardt: a tenth after a step that decreases the cost, else ten times as much.
-    for _ in range(iterations if names else 0):
-        decrease = 0.0  # of the cost with its penalty, by the step that is taken
-        while damping < 1e4:
-            trial = _damped_step(problem, fit, damping, width)
-            squares = problem.squares(trial)
-            gain = fit.squares - squares + penalty(fit.values) - penalty(trial)
-            if gain > 0.0:
-                fit, decrease = LeastSquaresFit(problem, trial, columns, squares), gain
-                damping = max(1e-9, damping / 10.0)
-                break
-            step = problem.coordinates(trial, columns) - problem.coordinates(fit.values, columns)
-            if fit.squares - fit.linear.predicted_squares(step) < tolerance:
-                break
-            damping *= 10.0
+    damping = FIRST_DAMPING
+    for _ in range(iterations if start else 0):
+        fit, decrease, damping = _damped_fit(problem, fit, damping, width, tolerance)
         if decrease < tolerance:
             break
     return fit
 
 
+def _damped_fit(
+    problem: Problem, fit: LeastSquaresFit, damping: float, width: np.ndarray, tolerance: float
+) -> tuple[LeastSquaresFit, float, float]:
+    """Return the fit after a step that decreases the cost, this decrease, and the damping of the next step.
+
+    The fit stays as it is, with a decrease of 0, if no damping leads to such a step.
+    """
+
+    def penalty(at: Values) -> float:  # sum_k (x_k / width_k)^2
+        return float(((problem.coordinates(at, fit.columns) / width) ** 2).sum())
+
+    # Damping lambda as by Marquardt: a tenth after a step that decreases the cost, else ten times as much.
+    while damping < MOST_DAMPING:
+        trial = _damped_step(problem, fit, damping, width)
+        squares = problem.squares(trial)
+        gain = fit.squares - squares + penalty(fit.values) - penalty(trial)
+        if gain > 0.0:
+            better = LeastSquaresFit(problem, trial, fit.columns, squares)
+            return better, gain, max(LEAST_DAMPING, damping / 10.0)
+        step = problem.coordinates(trial, fit.columns) - problem.coordinates(fit.values, fit.columns)
+        if fit.squares - fit.linear.predicted_squares(step) < tolerance:  # not worth it anyway
+            break
+        damping *= 10.0
+    return fit, 0.0, damping
+
+
 def _damped_step(problem: Problem, fit: LeastSquaresFit, damping: float, width: np.ndarray) -> FittedValues:
     """Return the values after a damped Gauss-Newton step within bounds (active set)."""
     # (a + lambda diag a) d = b,  with the prior W = width^-2:  a = J'J + W,  b = J'e - W x
-    a, b = fit.linear.a.sum(axis=0), fit.linear.b.sum(axis=0)
-    a, b = a + np.diag(width**-2.0), b - problem.coordinates(fit.values, fit.linear.columns) * width**-2.0
-    at = problem.coordinates(fit.values, fit.linear.columns)
+    at, known = problem.coordinates(fit.values, fit.linear.columns), width**-2.0
+    a, b = fit.linear.a.sum(axis=0) + np.diag(known), fit.linear.b.sum(axis=0) - at * known
     parameters = [problem.parameter(c) for c in fit.linear.columns]
     bounds = np.array([[p.coordinate(x) for x in p.possible] for p in parameters]).reshape(-1, 2).T
     step = active_set_step(a + damping * np.diag(np.diag(a)), a, b, at, bounds)
     return _values_after(problem, fit, step)
 
 
-def active_set_step(damped, a, b, at, bounds) -> np.ndarray:
-    """Return the step by the active-set method: columns that would leave their bounds are fixed there."""
+def active_set_step(
+    damped: np.ndarray, a: np.ndarray, b: np.ndarray, at: np.ndarray, bounds: np.ndarray
+) -> np.ndarray:
+    """Return the step by the active-set method: columns that would leave their bounds are fixed there.
+
+    damped, a (P, P): Gram matrix with and without damping, b (P,); at (P,) and bounds (2, P): coordinates.
+    """
     free, step = np.ones(len(at), bool), np.zeros(len(at))
     for _ in range(len(at) + 1):
+        # Of the free columns F, the fixed ones X at their steps:
+        #   (a + lambda diag a)_FF d_F = b_F - a_FX d_X
         k = np.flatnonzero(free)
         step[k] = solve(damped[np.ix_(k, k)], b[k] - a[np.ix_(k, ~free)] @ step[~free])
         outside = free & ((at + step < bounds[0]) | (at + step > bounds[1]))
@@ -146,7 +166,7 @@ def estimate_noise(problem: Problem) -> tuple[Problem, FittedValues]:
         noise_model = estimate(problem.flights, errors, problem.split(problem.weight))
         problem = problem.whitened(noise_model, problem.corrected(values))
         problem = dataclasses.replace(problem, weight=model_error_weights(problem, predicted, errors))
-        if np.allclose(noise_model.size, before.size, rtol=0.15, atol=1e-3):
+        if np.allclose(noise_model.size, before.size, rtol=SETTLED, atol=SMALL_SIZE):
             break
     return dataclasses.replace(problem, inflation=variance_inflation(problem, values)), values
 
@@ -200,18 +220,18 @@ def variance_inflation(problem: Problem, values: Values) -> np.ndarray:
     white = problem.white_errors_at(values)
     squares, count = np.zeros(problem.channels), (problem.rows[:, None] * problem.logged).sum(axis=0)
     for errors, weight in zip(white, problem.split(problem.weight)):
-        each = weight * (errors**2).sum(axis=2)
-        squares += [winsorised(x) @ x for x in each.T]
+        of_windows = weight * (errors**2).sum(axis=2)  # (w, C)
+        squares += [winsorised(x) @ x for x in of_windows.T]
     dispersion = np.maximum(1.0, squares / np.maximum(count, 1.0))
     correlation = np.ones(problem.channels)
     for channel in range(problem.channels):
-        total, lagged = 0.0, np.zeros(LAGS)
+        total, lagged = 0.0, np.zeros(LAGS)  # sums over w of x_w^2, and of x_w x_(w+k), within flights
         for flight, errors in zip(problem.flights, white):
             x = flight.whitening.amplitudes(errors)[:, channel] * np.sqrt(flight.whitening.power[channel])
             total += float(x @ x)
             lagged += [float(x[k:] @ x[:-k]) if len(x) > k else 0.0 for k in range(1, LAGS + 1)]
         if total > 0.0:
-            correlation[channel] = np.clip(1.0 + 2.0 * (lagged / total).sum(), 1.0, 10.0)
+            correlation[channel] = max(1.0, 1.0 + 2.0 * (lagged / total).sum())
     return dispersion * correlation
 
 
@@ -233,16 +253,13 @@ def fit_vehicle(
     columns = problem.columns(fitted)
     at: FittedValues = {n: problem.neutral(n) | dict(values.get(n, {})) for n in fitted}
 
-    def linearised(here: Values) -> LinearGaussian:
-        return LinearGaussian.of(problem, spread, problem.linearise(here, columns))
-
-    local = linearised(at)
+    local = LinearGaussian.of(problem, spread, problem.linearise(at, columns))
     for _ in range(ROUNDS):
         here = problem.coordinates(at, columns)
         change = problem.coordinates(vehicle_mode(problem, local, names), columns) - here
         for share in STEP_SHARES:
             trial = problem.values_at(fitted, columns, here + share * change)
-            there = linearised(trial)
+            there = LinearGaussian.of(problem, spread, problem.linearise(trial, columns))
             gain = deviance(local, names) - deviance(there, names)
             if gain > 0.0:
                 at, local = trial, there

@@ -34,13 +34,19 @@ from inclined_landing.eval.gap.model.columns import (
 )
 from inclined_landing.eval.gap.model.problem import Linearisation, Problem
 
-SPIKE = 0.35  # standard deviation of the spike, in negligible sizes
-BETWEEN = 0.35  # least between-flight standard deviation, in negligible sizes
+# These widths were chosen by hand on the development families of docs/evidence/hidden_effects.md.
+SPIKE = 0.35  # standard deviation of the spike, in negligible sizes: one of 230 exceeds such a size
+BETWEEN = 0.35  # least between-flight standard deviation, in negligible sizes: as of the spike
 LARGE = 4.0  # slab widths of the second, wider component of the slab: sizes have heavy tails
+LARGE_ODDS = 0.25  # of that component to the first: weights 1/5 and 4/5
+LARGE_BEYOND = 2.0  # slab widths: a size below is never more probable by the wider component
 BOOTSTRAP_SAMPLES = 24
 ACTIVE_SET_ROUNDS = 4  # of the mode of a truncated normal distribution
-MOST_SPIKE = 0.5  # largest standard deviation of the spike, in those of the slab
-MOST_SPIKE_ABOUT = 0.3  # the same of the two columns of an effect about a reference
+# Largest standard deviation of the spike, in those of the slab: the slab less the spike must be a covariance.
+# That of the two columns of an effect about a reference has the eigenvalues 0.5 and 0.125 of the slab's
+# variance (SHAPE_COVARIANCE), and sqrt(0.125) = 0.35.
+MOST_SPIKE = 0.5
+MOST_SPIKE_ABOUT = 0.3
 EM_ROUNDS = 3  # more let the between-flight variance of confounded parameters run away
 PRIOR_FLIGHTS = 2.0  # weight of the prior between-flight variance (inverse gamma), in flights
 
@@ -80,15 +86,16 @@ class Spread:
         # A share of the negligible size, what all flights of a day share, and the standard error of the mean
         # over the n flights that excite a column:
         #   sigma^2 = (SPIKE negligible)^2 + placement^2 + (between^2 - placement^2) / n
+        # The two columns of an effect about a reference share the placement's variance.
         count = np.array([self.excitation.get(c.key, problem.groups) for c in columns])
+        pair = np.array([at_an_end(c) for c in columns])
         placement = [problem.variation(c).placement for c in columns]
-        shared = np.square(placement) / [2.0 if at_an_end(c) else 1.0 for c in columns]  # of both together
-        each = np.maximum(self.between_deviations(problem, columns) ** 2 - shared, 0.0)
+        placement_squared = np.square(placement) / np.where(pair, 2.0, 1.0)
+        of_one_flight = self.between_deviations(problem, columns) ** 2 - placement_squared
+        of_mean = np.maximum(of_one_flight, 0.0) / count
         negligible = _negligible_sizes(problem, columns, self.confounded)
-        spike = np.sqrt((SPIKE * negligible) ** 2 + shared + each / count)
-        # The slab less the spike is a covariance: of two columns about a reference, whose smallest eigenvalue
-        # is 0.125 of the slab's variance, below sqrt(0.125) = 0.35 of the slab.
-        most = np.array([MOST_SPIKE_ABOUT if at_an_end(c) else MOST_SPIKE for c in columns])
+        spike = np.sqrt((SPIKE * negligible) ** 2 + placement_squared + of_mean)
+        most = np.where(pair, MOST_SPIKE_ABOUT, MOST_SPIKE)
         return np.minimum(spike, most * slab_deviations(problem, columns))
 
 
@@ -105,7 +112,10 @@ def confounding(linear: Linearisation) -> dict[Key, float]:
 def _negligible_sizes(
     candidates: Candidates, columns: Sequence[Column], confounded: Mapping[Key, float]
 ) -> np.ndarray:
-    """Return the negligible sizes (P,), each divided by the root of the number of confounded columns."""
+    """Return the negligible sizes (P,), each divided by the root of the number of confounded columns.
+
+    The two columns of an effect about a reference count as confounded.
+    """
     collinear = [confounded.get(c.key, 1.0) * (2.0 if at_an_end(c) else 1.0) for c in columns]
     return np.array([candidates.parameter(c).negligible for c in columns]) / np.sqrt(collinear)
 
@@ -115,11 +125,10 @@ def _between_by_em(problem: Problem, linear: Linearisation, unit: np.ndarray) ->
 
     The prior counts as PRIOR_FLIGHTS flights. unit (P,): negligible sizes.
     """
-    # Random effects u_g ~ N(0, diag v) of every flight beside a common z with the slab prior (Laird and Ware
-    # 1982).  E: mean m_g and covariance C_g of u_g at the current v.  M, with the prior variance v_0:
-    #   v = s v_0 + (1 - s) mean_g (m_g^2 + diag C_g),   s = n_0 / (n_0 + n),  n_0 = PRIOR_FLIGHTS
+    # White errors of a flight J (z + u_g) + noise, with a common z of the slab prior N(0, S) and random
+    # effects u_g ~ N(0, V), V = diag v (Laird and Ware 1982), everything in `unit`.
     a, b = linear.a * np.outer(unit, unit), linear.b * unit
-    slab_information = (unit / slab_deviations(problem, linear.columns)) ** 2
+    slab_information = (unit / slab_deviations(problem, linear.columns)) ** 2  # S^-1
     # v_0: a unit, which confounded columns share as they share a negligible size; what varies with the
     # manoeuvre in each of them, since no loop is quite of its form.
     parameters = [problem.parameter(c) for c in linear.columns]
@@ -134,11 +143,14 @@ def _between_by_em(problem: Problem, linear: Linearisation, unit: np.ndarray) ->
     has_size = np.array([not p.is_reference for p in parameters])
     share = PRIOR_FLIGHTS / (PRIOR_FLIGHTS + problem.groups)
     for _ in range(EM_ROUNDS):
+        # E, with M_g = (1 + a_g V)^-1:  z = (sum_g M_g a_g + S^-1)^-1 sum_g M_g b_g, and of every u_g the
+        # covariance C_g = V M_g and the mean m_g = C_g (b_g - a_g z)
         inner = np.linalg.inv(eye + a * variance)
         total = (inner @ a).sum(axis=0) + np.diag(slab_information)
         common = np.linalg.solve(total, np.einsum("gpq,gq->p", inner, b))
         covariance = variance[:, None] * inner
         mean = np.einsum("gpq,gq->gp", covariance, b - a @ common)
+        # M, with the prior v_0:  v = s v_0 + (1 - s) mean_g (m_g^2 + diag C_g),  s = n_0 / (n_0 + n)
         second = mean**2 + np.diagonal(covariance, axis1=1, axis2=2)
         found = share * prior_variance + (1.0 - share) * second.mean(axis=0)
         variance = np.where(has_size, np.clip(found, BETWEEN**2, most), BETWEEN**2)
@@ -150,9 +162,7 @@ class Bounds(NamedTuple):
 
     low: np.ndarray  # (P,)
     high: np.ndarray  # (P,)
-    # (n, 6) for the two columns of an effect about a reference: their indices, bounds of the size (their sum)
-    # and of the second one's share of it.
-    pairs: np.ndarray
+    pairs: np.ndarray  # (n, 6) see `_PairBounds`: numbers alone, for the kernels
 
     @staticmethod
     def of(candidates: Candidates, columns: Sequence[Column], unit: np.ndarray) -> Bounds:
@@ -169,20 +179,38 @@ class Bounds(NamedTuple):
                 effect = candidates.library[column.effect]
                 about = effect.reference
                 assert about is not None  # a fixed parameter is a reference
-                first, last = sorted(effect.at_ends(1.0, x)[1] for x in about.possible)
-                pairs.append((k - 1, k, least, most, first, last))
+                shares = sorted(effect.at_ends(1.0, x)[1] for x in about.possible)
+                pairs.append(_PairBounds(k - 1, k, least, most, shares[0], shares[1]))
         return Bounds(low, high, np.array(pairs, float).reshape(-1, 6))
+
+
+class _PairBounds(NamedTuple):
+    """Bounds of the two columns of an effect about a reference, of which one size is the sum."""
+
+    first: int  # index of the column about the lowest reference
+    second: int  # and about the highest
+    least: float  # bounds of the size
+    most: float
+    least_share: float  # bounds of the second column's share of it, which the reference determines
+    most_share: float
 
 
 @numba.njit(cache=True, nogil=True)
 def clipped(at, bounds):
     """Return coordinates (P,) clipped to the bounds."""
     result = np.minimum(np.maximum(at, bounds.low), bounds.high)
-    for pair in bounds.pairs:
-        i, j = int(pair[0]), int(pair[1])
+    for pair in bounds.pairs:  # see `_PairBounds`
+        i, j, least, most, least_share, most_share = (
+            int(pair[0]),
+            int(pair[1]),
+            pair[2],
+            pair[3],
+            pair[4],
+            pair[5],
+        )
         size = at[i] + at[j]
-        share = min(max(at[j] / size if size != 0.0 else 0.5, pair[4]), pair[5])
-        size = min(max(size, pair[2]), pair[3])
+        share = min(max(at[j] / size if size != 0.0 else 0.5, least_share), most_share)
+        size = min(max(size, least), most)
         result[i], result[j] = size * (1.0 - share), size * share
     return result
 
@@ -316,7 +344,7 @@ class LinearGaussian:
     def posterior(self, names: EffectSet, weights: np.ndarray | None = None) -> tuple[np.ndarray, np.ndarray]:
         """Return the posterior mean (P,) of z, from the linearisation point, and covariance, in spikes."""
         # Posterior of a linear model (Bishop 3.50) with the prior N(m, K):
-        #   C = (1 + K a)^-1 K,   z = m + C (b - a m)
+        #   C = (1 + K a)^-1 K,   z = m + C (b - a m),   a = sum_g w_g a_g,   b = sum_g w_g b_g
         w = np.ones(len(self.c)) if weights is None else weights
         mean, prior = self.prior(names)
         a, b = np.tensordot(w, self.a, axes=1), w @ self.b
@@ -429,25 +457,30 @@ class Evidence:
             return self.empty
         k = np.concatenate(columns)
         at, score = self._mode(k, np.ones(len(k)))
-        far = np.abs(at[k]) > 2.0 * np.sqrt(self.slab[k, k])
-        if far.any():  # scale mixture: weight 1/5 for a slab LARGE times as wide, odds 1 : 4
+        far = np.abs(at[k]) > LARGE_BEYOND * np.sqrt(self.slab[k, k])
+        if (
+            far.any()
+        ):  # scale mixture: the wider component, with its odds for every such size, where that is more
             at_large, large = self._mode(k, np.where(far, LARGE, 1.0))
-            large -= far.sum() * np.log(4.0)
-            at, score = max(((at, score), (at_large, large)), key=lambda one: one[1])
+            large += far.sum() * math.log(LARGE_ODDS)
+            if large > score:
+                at, score = at_large, large
         return score + sum(
             self._shape_log_prior(n, at[one], at[other]) for n, (one, other) in self.ends if n in names
         )
 
     def _shape_log_prior(self, name: str, low: float, high: float) -> float:
         """Return the log prior of a size about a reference, less that of its columns' bivariate normal."""
+        # A size s about a reference at the share t from the middle: low = s (1/2 - t), high = s (1/2 + t).
         # Change of variables (low, high) -> (s, t), Jacobian |s|:  log [N(s; 0, w^2) N(t; 0, 1/4) / |s|]
-        # less the log density of N(0, SHAPE_COVARIANCE w^2) with the moments of this product.
+        # less the log density of N(0, SHAPE_COVARIANCE w^2), in which t is half as wide. The least |s| taken
+        # is w/10: without a size any reference does.
         width = math.sqrt(self.slab[self.own[name][0], self.own[name][0]] / SHAPE_COVARIANCE[0, 0])
         s, ends = low + high, np.array([low, high]) / width
         t = 0.5 * (high - low) / s if s else math.inf
-        product = -0.5 * (s / width) ** 2 - 2.0 * t * t - math.log(0.5 * max(abs(s) / width, 0.1))
-        normal = -0.5 * ends @ np.linalg.solve(SHAPE_COVARIANCE, ends) - 0.5 * _SHAPE_LOG_DET
-        return min(0.0, product - normal)
+        log_product = -0.5 * (s / width) ** 2 - 2.0 * t * t - math.log(0.5 * max(abs(s) / width, 0.1))
+        log_normal = -0.5 * ends @ np.linalg.solve(SHAPE_COVARIANCE, ends) - 0.5 * _SHAPE_LOG_DET
+        return min(0.0, log_product - log_normal)
 
     def _mode(self, k: np.ndarray, times: np.ndarray) -> tuple[np.ndarray, float]:
         """Return the bounded mode (P,) of the columns k, slabs `times` (k,) as wide, and the log evidence."""
@@ -458,20 +491,21 @@ class Evidence:
 @numba.njit(cache=True, nogil=True)
 def _bounded_mode(a, b, slab, bounds, k, times):
     """Return the bounded mode (P,) of the columns k, slabs `times` (k,) as wide; gain of the log evidence."""
-    # With V = L L' the additional prior covariance,
-    #   log p = log p_0 + 1/2 |z|^2 - 1/2 log det(1 + L' a L),
-    # F F' = 1 + L' a L (Cholesky),  z = F^-1 L' b,  mode L F'^-1 z
+    # With V = L L' the additional prior covariance, a and b those of the columns k, and F F' = 1 + L' a L:
+    #   H = F^-1 L',   mode H' H b,   covariance H' H,   log p = log p_0 + 1/2 |H b|^2 - log det F
+    # V is the slab less the spike, which every set has and is 1 in its own units; 1e-6 at least is left.
     eye, prior = np.eye(len(k)), slab[k][:, k] * np.outer(times, times)
-    for i in range(len(k)):  # less the spike, 1 in its own units, which every set has; 1e-6 at least is left
+    for i in range(len(k)):
         prior[i, i] -= 1.0 - max(1e-9, 1e-6 - (prior[i, i] - 1.0))
     root = np.linalg.cholesky(prior)
     factor = np.linalg.cholesky(eye + root.T @ (np.ascontiguousarray(a[k][:, k]) @ root))
     half = np.linalg.solve(factor, np.ascontiguousarray(root.T))
-    z, at = half @ b[k], np.zeros(len(b))
-    at[k] = half.T @ z
-    gain = 0.5 * (z @ z) - np.log(np.diag(factor)).sum()
+    white, at = half @ b[k], np.zeros(len(b))
+    at[k] = half.T @ white
+    gain = 0.5 * (white @ white) - np.log(np.diag(factor)).sum()
     if np.array_equal(at, clipped(at, bounds)):
         return at, gain
+    # Beyond a bound: the density at the mode of the truncated distribution, relative to that at the mean
     covariance = np.zeros_like(a)
     inner = half.T @ half
     for i in range(len(k)):

@@ -11,9 +11,11 @@ sign-flip permutation test over blocks of a few seconds, with the largest gain o
 from __future__ import annotations
 
 import dataclasses
+import functools
 import itertools
 import math
-from collections.abc import Sequence
+from collections.abc import Callable, Mapping, Sequence
+from typing import NamedTuple
 
 import numpy as np
 
@@ -25,18 +27,20 @@ from inclined_landing.eval.gap.measured.windows import MeasuredFlight
 from inclined_landing.eval.gap.model.prediction import CHANNELS, UNITS_OF, channels_of
 from inclined_landing.eval.gap.model.problem import Problem
 from inclined_landing.eval.gap.model.reference import LINEAR, TARGETS, TIME, Basis, ReferenceResidual
-from inclined_landing.eval.gap.result import HORIZON, Dependence, ResidualAnalysis
+from inclined_landing.eval.gap.result import HORIZON, Dependence, Quantity, ResidualAnalysis
 from inclined_landing.models.threads import two_at_a_time
 from inclined_landing.models.vehicle import Vehicle
 
 # Of `equivalent_sizes`.
 UNITS = {channel: "rad" if unit == "rad/s2" else unit for channel, unit in UNITS_OF.items()}
-FLIPS = 400  # random sign flips
-BLOCK = 5.0  # s of flight that share a sign in the permutation test
+FLIPS = 400  # random sign flips: eight are beyond the level of 2 %
+BLOCK = 5.0  # s of flight that share a sign in the permutation test: longer than a disturbance lasts
+# How long ago commands and velocities may act still, chosen by hand.
 COMMAND_LAGS = (0.1, 0.25)  # s
 VELOCITY_LAGS = (0.15, 0.3, 0.5)  # s
-BINS = 8
-EXPECTED_SIZE = {"m/s2": 0.01, "rad/s2": 0.3}  # least prior standard deviation of a function
+BINS = 8  # of an input, over which a function's means are compared
+SAMPLES = 200  # of the bootstrap over groups of windows
+EXPECTED_SIZE = {"m/s2": 0.01, "rad/s2": 0.3}  # least prior standard deviation of a function, chosen by hand
 
 
 def white_residuals(problem: Problem, local: LinearGaussian, names: EffectSet) -> list[np.ndarray]:
@@ -57,7 +61,7 @@ def white_residuals(problem: Problem, local: LinearGaussian, names: EffectSet) -
 def reference_residual(problem: Problem, residual: Sequence[np.ndarray]) -> ReferenceResidual:
     """Return the functions of all flights of `problem`, each shrunk by its cross-validated gain."""
     inputs = regressors(problem.flights)
-    bases = {name: _basis(problem, *of) for name, of in inputs.items()}
+    bases = {name: _basis(problem, of) for name, of in inputs.items()}
     functions = _functions(problem, residual, inputs, bases, None)
     result: dict[str, dict[str, np.ndarray]] = {}
     for f in functions:
@@ -75,44 +79,70 @@ def equivalent_sizes(problem: Problem, white: Sequence[np.ndarray]) -> tuple[np.
     return value, variance
 
 
-def regressors(flights: Sequence[MeasuredFlight]) -> dict[str, tuple[tuple[str, ...], list[np.ndarray]]]:
-    """Return the regressors of the residual: name -> (names of its inputs, inputs (m, k) of every flight)."""
-    result: dict[str, tuple[tuple[str, ...], list[np.ndarray]]] = {}
+class Regressor(NamedTuple):
+    """Inputs of a function of the residual."""
 
-    def add(name: str, inputs: Sequence[str], of) -> None:
-        result[name] = (tuple(inputs), [np.column_stack(of(f)) for f in flights])
+    names: tuple[str, ...]
+    inputs: list[np.ndarray]  # (m, k) of every flight
 
-    def yaw_aligned(f: MeasuredFlight, values: np.ndarray) -> np.ndarray:
-        c, s = np.cos(f.attitude[:, 2]), np.sin(f.attitude[:, 2])
-        x, y = values[:, 0], values[:, 1]
-        return np.column_stack([c * x + s * y, -s * x + c * y, values[:, 2]])
+    @staticmethod
+    def of(
+        flights: Sequence[MeasuredFlight],
+        names: Sequence[str],
+        inputs: Callable[[MeasuredFlight], Sequence[np.ndarray]],
+    ) -> Regressor:
+        """Return inputs computed from flights: names of k columns, and these columns of a flight."""
+        return Regressor(tuple(names), [np.column_stack(inputs(f)) for f in flights])
 
-    def lagged(f: MeasuredFlight, values: np.ndarray, times: Sequence[float]) -> list[np.ndarray]:
-        rows = np.arange(f.samples)
-        return [values[np.maximum(0, rows - round(t / f.dt))] for t in (0.0, *times)]
 
-    add("place", ("position x", "position y", "position z"), lambda f: [f.position])
-    add("velocity", ("velocity x", "velocity y", "velocity z"), lambda f: [f.velocity])
-    body = ("forward speed", "sideways speed", "climb rate")
-    add("velocity along its heading", body, lambda f: [yaw_aligned(f, f.velocity)])
-    add("tilt", ("roll", "pitch"), lambda f: [f.attitude[:, :2]])
-    add("heading", ("heading",) * 2, lambda f: [np.cos(f.attitude[:, 2]), np.sin(f.attitude[:, 2])])
+def regressors(flights: Sequence[MeasuredFlight]) -> dict[str, Regressor]:
+    """Return the regressors of the residual, by name."""
+    axes = ("forward speed", "sideways speed", "climb rate")
     commands = ("thrust command", "roll command", "pitch command", "yaw rate command")
-    add("commands", commands, lambda f: [f.command])
-    now_and_past = ["", *(f" {t:g} s ago" for t in COMMAND_LAGS)]
-    for k, name in enumerate(commands):
-        if name in LINEAR:
-            result[name] = (name,), [f.command[:, k, None] for f in flights]
-    names = [f"thrust command{when}" for when in now_and_past]
-    add("thrust command and its past", names, lambda f: lagged(f, f.command[:, :1], COMMAND_LAGS))
-    names = [f"{axis} command{when}" for when in now_and_past for axis in ("roll", "pitch")]
-    add("tilt commands and their past", names, lambda f: lagged(f, f.command[:, 1:3], COMMAND_LAGS))
-    names = [f"{axis}{when}" for when in ("", *(f" {t:g} s ago" for t in VELOCITY_LAGS)) for axis in body]
-    add("velocity and its past", names, lambda f: lagged(f, yaw_aligned(f, f.velocity), VELOCITY_LAGS))
-    add("flight time", (TIME,), lambda f: [f.t])
+    of = functools.partial(Regressor.of, flights)
+    result = {
+        "place": of(("position x", "position y", "position z"), lambda f: [f.position]),
+        "velocity": of(("velocity x", "velocity y", "velocity z"), lambda f: [f.velocity]),
+        "velocity along its heading": of(axes, lambda f: [_along_heading(f)]),
+        "tilt": of(("roll", "pitch"), lambda f: [f.attitude[:, :2]]),
+        "heading": of(("heading",) * 2, lambda f: [np.cos(f.attitude[:, 2]), np.sin(f.attitude[:, 2])]),
+        "commands": of(commands, lambda f: [f.command]),
+        "roll command": of(("roll command",), lambda f: [f.command[:, 1]]),
+        "pitch command": of(("pitch command",), lambda f: [f.command[:, 2]]),
+        "thrust command and its past": of(
+            _now_and_past(("thrust command",), COMMAND_LAGS),
+            lambda f: _lagged(f, f.command[:, :1], COMMAND_LAGS),
+        ),
+        "tilt commands and their past": of(
+            _now_and_past(("roll command", "pitch command"), COMMAND_LAGS),
+            lambda f: _lagged(f, f.command[:, 1:3], COMMAND_LAGS),
+        ),
+        "velocity and its past": of(
+            _now_and_past(axes, VELOCITY_LAGS), lambda f: _lagged(f, _along_heading(f), VELOCITY_LAGS)
+        ),
+        TIME: of((TIME,), lambda f: [f.t]),
+    }
     if all(f.voltage is not None for f in flights):
-        add("battery voltage", ("battery voltage",), lambda f: [f.voltage])
+        result["battery voltage"] = of(("battery voltage",), lambda f: [f.voltage])
     return result
+
+
+def _along_heading(f: MeasuredFlight) -> np.ndarray:
+    """Return the velocity (m, 3) of a flight forward, to the left and up."""
+    c, s = np.cos(f.attitude[:, 2]), np.sin(f.attitude[:, 2])
+    x, y, z = f.velocity.T
+    return np.column_stack([c * x + s * y, -s * x + c * y, z])
+
+
+def _now_and_past(names: Sequence[str], times: Sequence[float]) -> list[str]:
+    """Return the names of quantities now, and some times [s] ago."""
+    return [f"{name}{when}" for when in ("", *(f" {t:g} s ago" for t in times)) for name in names]
+
+
+def _lagged(f: MeasuredFlight, values: np.ndarray, times: Sequence[float]) -> list[np.ndarray]:
+    """Return values (m, k) of a flight as they are, and as they were some times [s] ago."""
+    rows = np.arange(f.samples)
+    return [values[np.maximum(0, rows - round(t / f.dt))] for t in (0.0, *times)]
 
 
 @dataclasses.dataclass(frozen=True)
@@ -169,15 +199,10 @@ def analyse_residual(found: SetPosterior, vehicle: Vehicle, error: float = math.
     """
     problem = found.problem
     residual = white_residuals(problem, found.local, found.names)
-    value, variance = equivalent_sizes(problem, residual)
-    size = {}
-    for k, channel in enumerate(channels_of(problem)):
-        w = problem.logged[:, k] > 0.0
-        if w.any():
-            size[channel] = float(np.sqrt(max(0.0, (value[w, k] ** 2 - variance[w, k]).mean())))
+    size = _sizes_beyond_noise(problem, residual)
     repeating = problem.reference.repeating if problem.reference else None
     inputs = regressors(problem.flights)
-    bases = {name: _basis(problem, *of) for name, of in inputs.items()}
+    bases = {name: _basis(problem, of) for name, of in inputs.items()}
     if repeating:
         bases = {name: repeating.bases.get(name, basis) for name, basis in bases.items()}
     functions = _functions(problem, residual, inputs, bases, repeating)
@@ -190,20 +215,34 @@ def analyse_residual(found: SetPosterior, vehicle: Vehicle, error: float = math.
     for k in np.argsort(-scores[:, 0], kind="stable"):
         f = functions[k]
         if scores[k, 0] >= threshold and f.target not in depends and f.gain > 0.0:
-            depends[f.target] = _dependence(
-                problem, f, bases[f.on], inputs[f.on], residual, vehicle, scores[k, 0]
-            )
-    return ResidualAnalysis(p_value, size, tuple(depends.values()), error)
+            score = float(scores[k, 0])
+            depends[f.target] = _dependence(problem, f, bases[f.on], inputs[f.on], residual, vehicle, score)
+    return ResidualAnalysis(p_value, size, depends_on=tuple(depends.values()), error=error)
+
+
+def _sizes_beyond_noise(problem: Problem, white: Sequence[np.ndarray]) -> dict[str, float]:
+    """Return channel -> root mean square of the errors beyond noise and disturbance."""
+    value, variance = equivalent_sizes(problem, white)
+    size = {}
+    for k, channel in enumerate(channels_of(problem)):
+        w = problem.logged[:, k] > 0.0
+        if w.any():
+            size[channel] = float(np.sqrt(max(0.0, (value[w, k] ** 2 - variance[w, k]).mean())))
+    return size
 
 
 def _functions(
-    problem: Problem, residual: Sequence[np.ndarray], inputs, bases, repeating: ReferenceResidual | None
+    problem: Problem,
+    residual: Sequence[np.ndarray],
+    inputs: Mapping[str, Regressor],
+    bases: Mapping[str, Basis],
+    repeating: ReferenceResidual | None,
 ) -> list[_RidgeRegression]:
     """Return one ridge regression for every group of inputs along every target."""
     block_of = _blocks(problem)
 
     def fits(name: str) -> list[_RidgeRegression]:
-        features = [f.cut(bases[name](x)) for f, x in zip(problem.flights, inputs[name][1])]
+        features = [f.cut(bases[name](x)) for f, x in zip(problem.flights, inputs[name].inputs)]
         on = (LINEAR[name],) if name in LINEAR else TARGETS
         known = repeating.weights.get(name, {}) if repeating else {}
         return [
@@ -216,75 +255,102 @@ def _functions(
 
 
 def _dependence(
-    problem, function: _RidgeRegression, basis: Basis, inputs, residual: Sequence[np.ndarray], vehicle, score
+    problem: Problem,
+    function: _RidgeRegression,
+    basis: Basis,
+    regressor: Regressor,
+    residual: Sequence[np.ndarray],
+    vehicle: Vehicle,
+    score: float,
 ) -> Dependence:
     """Return a function's size, and the input that explains most of it."""
-    names, arrays = inputs
     weights = function.weights()
-    values = [basis(x) @ weights for x in arrays]
+    values = [basis(x) @ weights for x in regressor.inputs]
     value = np.concatenate([f.cut(v).mean(axis=1) for f, v in zip(problem.flights, values)])
-    means = [f.cut(v).mean(axis=1) for f, v in zip(problem.flights, arrays)]
+    means = [f.cut(v).mean(axis=1) for f, v in zip(problem.flights, regressor.inputs)]
     spreads = [_variance_between_bins(x, value) for x in np.concatenate(means).T]
-    against = names[int(np.argmax(spreads))]
-    unit = UNITS_OF.get(function.target, UNITS_OF["x"])
-    channels = _channels(function.target)
     weight = problem.weight / problem.inflation
-    total = sum(
+    squares = sum(
         (np.concatenate([(e[:, c] ** 2).sum(axis=1) for e in residual]) * weight[:, c]).sum()
-        for c in channels
+        for c in _channels(function.target)
     )
-    share = float(np.clip(function.gain / max(total, 1e-9), 0.0, 1.0))
-    moved, *ends = _displacement(problem, function, basis, arrays, vehicle)
-    size, target, on = float(np.sqrt((value**2).mean())), function.target, function.on
-    return Dependence(target, on, size, unit, share, float(score), moved, tuple(ends), against)
+    displacement = _displacement(problem, function, basis, regressor, vehicle)
+    return Dependence(
+        channel=function.target,
+        on=function.on,
+        size=float(np.sqrt((value**2).mean())),
+        unit=UNITS_OF.get(function.target, UNITS_OF["x"]),
+        share=float(np.clip(function.gain / max(squares, 1e-9), 0.0, 1.0)),
+        score=score,
+        displacement=displacement.value,
+        displacement_ci95=displacement.ci95,
+        against=regressor.names[int(np.argmax(spreads))],
+    )
 
 
-def _displacement(problem, function: _RidgeRegression, basis: Basis, arrays, vehicle) -> np.ndarray:
-    """Return the displacement [m] over HORIZON that a function explains in held-out flights, with interval.
+def _displacement(
+    problem: Problem, function: _RidgeRegression, basis: Basis, regressor: Regressor, vehicle: Vehicle
+) -> Quantity:
+    """Return the displacement [m] over HORIZON that a function explains in held-out flights.
 
     Root mean square by the function fitted to the other flights, times the root of its optimal shrinkage; the
     95 % interval is a bootstrap over groups of windows.
     """
     if function.target == "yaw":
-        return np.zeros(3)
-    squares = np.zeros(len(function.a))
+        return Quantity(0.0, (0.0, 0.0))
+    squares = np.zeros(len(function.a))  # of the displacements in every group, and their number
     counts = np.zeros(len(function.a))
-    for k, (flight, x) in enumerate(zip(problem.flights, arrays)):
+    for k, (flight, x) in enumerate(zip(problem.flights, regressor.inputs)):
         through = _displacement_response(flight, function.target, vehicle)
+        # Four displacements a second, each counted with the group of the window that it begins in
         first = np.arange(0, max(0, flight.samples - len(through)), max(1, len(through) // 4))
         first = flight.usable_from(first, len(through))
-        group_of = problem.group_of[problem.flight_of == k]
-        mine = group_of[np.clip(np.searchsorted(flight.starts, first, side="right") - 1, 0, None)]
+        window = np.clip(np.searchsorted(flight.starts, first, side="right") - 1, 0, None)
+        group = problem.group_of[problem.flight_of == k][window]
         features = basis(x)
-        for g in np.unique(mine):
+        for g in np.unique(group):
             value = features @ function.weights(g)
-            displacement = value[first[mine == g][:, None] + np.arange(len(through))] @ through
+            displacement = value[first[group == g][:, None] + np.arange(len(through))] @ through
             squares[g] += (displacement**2).sum()
             counts[g] += len(displacement)
+    # d^2 = shrinkage mean square,  shrinkage = cross-validated over predicted gain; first of all groups, then
+    # of every sample of them
     gain, predicted = function.cross_validated_gain()
-    drawn = np.random.default_rng(0).integers(0, len(gain), (200, len(gain)))
+    drawn = np.random.default_rng(0).integers(0, len(gain), (SAMPLES, len(gain)))
     drawn = np.vstack([np.arange(len(gain)), drawn])
-    true = np.clip(gain[drawn].sum(axis=1) / np.maximum(predicted[drawn].sum(axis=1), 1e-12), 0.0, 1.0)
-    displacement = np.sqrt(true * squares[drawn].sum(axis=1) / np.maximum(counts[drawn].sum(axis=1), 1.0))
-    return np.array([displacement[0], *np.quantile(displacement[1:], [0.025, 0.975])])
+    shrinkage = np.clip(gain[drawn].sum(axis=1) / np.maximum(predicted[drawn].sum(axis=1), 1e-12), 0.0, 1.0)
+    mean_square = shrinkage * squares[drawn].sum(axis=1) / np.maximum(counts[drawn].sum(axis=1), 1.0)
+    value, *samples = np.sqrt(mean_square)
+    low, high = np.quantile(samples, [0.025, 0.975])
+    return Quantity(value, (low, high))
 
 
 def _displacement_response(flight: MeasuredFlight, target: str, vehicle: Vehicle) -> np.ndarray:
     """Return the impulse response (r,): displacement [m] after HORIZON per unit of a target in each row."""
-    responses = ErrorResponses.of(round(HORIZON / flight.dt), flight.dt, vehicle).impulse
+    # Position by an acceleration in each row, h; by an angular acceleration, through g times the angle: g h H
+    impulse = ErrorResponses.of(round(HORIZON / flight.dt), flight.dt, vehicle).impulse
+    of_position, of_angle = impulse[CHANNELS.index("x")][-1], impulse[CHANNELS.index("roll")]
     if target not in ("roll", "pitch"):
-        return responses[0][-1]
-    return vehicle.environment_gravity * responses[0][-1] @ responses[3]
+        return of_position
+    return vehicle.environment_gravity * of_position @ of_angle
+
+
+# Targets along the heading psi: their shares along the channels x and y.
+_ALONG_HEADING: dict[str, tuple[Callable[[np.ndarray], np.ndarray], ...]] = {
+    "forward": (np.cos, np.sin),  # (cos psi, sin psi)
+    "left": (lambda psi: -np.sin(psi), np.cos),  # (-sin psi, cos psi)
+}
 
 
 def _channels(target: str) -> tuple[int, ...]:
     """Return the channels that a target acts on."""
-    return {"forward": (0, 1), "left": (0, 1)}.get(target) or (CHANNELS.index(target),)
+    return (0, 1) if target in _ALONG_HEADING else (CHANNELS.index(target),)
 
 
-def _basis(problem: Problem, names: Sequence[str], arrays: Sequence[np.ndarray]) -> Basis:
+def _basis(problem: Problem, regressor: Regressor) -> Basis:
     """Return the basis of the inputs of all flights."""
-    return Basis.of(np.concatenate([x[f.usable] for f, x in zip(problem.flights, arrays)]), names)
+    usable = [x[f.usable] for f, x in zip(problem.flights, regressor.inputs)]
+    return Basis.of(np.concatenate(usable), regressor.names)
 
 
 def _variance_between_bins(x: np.ndarray, y: np.ndarray) -> float:
@@ -312,11 +378,10 @@ def _fit(
     for flight, errors, basis, g, k, weight in zip(problem.flights, residual, features, *by_flight):
         for channel in channels:
             drive = basis
-            if len(channels) == 2:
+            if target in _ALONG_HEADING:
                 heading = flight.cut(flight.attitude[:, 2])[..., None]
-                across = channel == (target == "forward")
-                sign = -1.0 if target == "left" and channel == 0 else 1.0
-                drive = basis * (sign * np.sin(heading) if across else np.cos(heading))
+                drive = basis * _ALONG_HEADING[target][channel](heading)
+            # White slopes of the weighted errors in the function's weights:  S = share W H features
             scale = 1.0 / np.sqrt(problem.inflation[channel])
             through = scale * flight.whitening.matrices[channel] @ flight.error_responses.impulse[channel]
             share = np.sqrt(weight[:, channel])[:, None]
@@ -329,10 +394,8 @@ def _fit(
                 error = error - slopes @ known
             np.add.at(b, k, np.einsum("wqd,wq->wd", slopes, error, optimize=True))
     # Prior of the weights N(0, size^2), size that of the disturbance:  ridge = 1 / size^2
-    expected = max(
-        float(problem.noise_model.size[list(channels)].max()), EXPECTED_SIZE[UNITS_OF[CHANNELS[channels[0]]]]
-    )
-    ridge = 1.0 / expected**2
+    least = EXPECTED_SIZE[UNITS_OF[CHANNELS[channels[0]]]]
+    ridge = 1.0 / max(float(problem.noise_model.size[list(channels)].max()), least) ** 2
     fold_of = np.array([problem.group_of[np.argmax(block_of == k)] for k in range(len(b))])
     return _RidgeRegression(target, name, a, b, fold_of, ridge, gain_matrix(a, b, fold_of, ridge))
 

@@ -12,7 +12,8 @@ import dataclasses
 import itertools
 import math
 from collections import defaultdict
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
+from typing import NamedTuple
 
 import numpy as np
 from msgspec import structs
@@ -46,8 +47,8 @@ REDUNDANT = (  # of these one is a combination of the others
     # The lost torque of a rotor belongs to that rotor alone.
     *(frozenset((f"weak_rotor_{k}", "yaw_imbalance")) for k in range(1, 5)),
 )
-LEFT_OUT = 30.0  # nat, for each of a redundant set
-SWING_START = 2.0  # nat, of four numbers whose errors are some 0.4 of their prior deviations
+LEFT_OUT = 30.0  # nat, for each of a redundant set: odds of 1e-13
+SWING_START = 2.0  # nat, as of four numbers that are known to 0.6 of their prior deviations: 4 log 1/0.6
 MOST_EFFECTS = 16  # of a set
 EXCHANGES = 2  # fits with another effect in the place of each one of the best set
 MOST_FITS = 12  # sets fitted through the simulator
@@ -116,6 +117,21 @@ def search(problem: Problem, joint: FittedValues) -> SetPosterior:
     return SetPosterior(problem, linear, spread, chosen, scored)
 
 
+class _Prediction(NamedTuple):
+    """A set that is not fitted yet, as the linearisation of a fitted one predicts it."""
+
+    score: float  # log posterior probability, up to a constant
+    near: FittedSet  # the fitted set
+    far_start: FittedValues  # of an effect of the set whose slopes at neutral mislead, if there is one
+
+
+class _FarStart(NamedTuple):
+    """A distant start of an effect's fit."""
+
+    values: FittedValues  # of that effect
+    gain: float  # nat
+
+
 class _Fits:
     """Sets of effects fitted through the simulator, and the search for the most probable ones."""
 
@@ -137,8 +153,10 @@ class _Fits:
         """
         problem, library = self.problem, self.problem.library
         values = {n: {**library[n].neutral, **start.get(n, {})} for n in library if n in names}
+        # Effects that are not in the set but show in the motors' requests are linearised at their most
+        # probable values (`_requested`), from the second step on.
+        outside: FittedValues = {}
         best = None
-        outside = FittedValues()  # values of effects that are not in the set: see `_requested`
         for _ in range(NEWTON_STEPS):
             columns = problem.all_columns() + problem.form_columns(values)
             local = self._linearised({**outside, **values}, columns)
@@ -147,12 +165,14 @@ class _Fits:
             nonzero = _all_nonzero(problem, names, mode)
             score = evidence(names) + log_prior(problem, names) if nonzero else -np.inf
             at = problem.coordinates(values, columns)
-            next_values, step = mode, problem.coordinates(mode, columns) - at  # a full Newton step
             if best is None or score > best.score:
                 best = FittedSet(names, mode, local, evidence, score)
-            elif np.isfinite(best.score):  # from the best, half of the step that led here
+                next_values, step = mode, problem.coordinates(mode, columns) - at  # a full Newton step
+            elif np.isfinite(best.score):  # back to the middle between the best and here
                 best_at = problem.coordinates(best.local.values, columns)
                 next_values, step = problem.values_at(names, columns, 0.5 * (best_at + at)), at - best_at
+            else:  # none was possible yet
+                next_values, step = mode, problem.coordinates(mode, columns) - at
             in_negligible = step / [problem.parameter(c).negligible for c in columns]
             if score < rough_below or np.abs(in_negligible).max() < STEP_TOLERANCE:
                 break
@@ -179,34 +199,45 @@ class _Fits:
             fit = self.fit(frozenset(start), start)
             if fit.names not in fitted or fit.score > fitted[fit.names].score:
                 fitted[fit.names] = fit
-        predicted: dict[EffectSet, float] = {}  # log posterior probability, up to a constant
-        near: dict[EffectSet, FittedSet] = {}  # the fit whose linearisation predicts it
-        far_starts: dict[EffectSet, FittedValues] = {}  # of an effect whose slopes at neutral mislead
+        predictions: dict[EffectSet, _Prediction] = {}
         expanded: set[EffectSet] = set()
         while len(fitted) < MOST_FITS:
             best = self.best
-            for fit in (fitted[n] for n in sorted({frozenset(), best.names} - expanded, key=len)):
-                expanded.add(fit.names)
-                for names in _neighbours(problem, fit):
-                    predicted[names], near[names] = fit.evidence(names) + log_prior(problem, names), fit
-                for name, (start, gain) in self._far_starts(fit.values).items():
-                    others = [n for n in problem.library[name].confused_with if n in fit.names]
-                    for names in (fit.names | {name}, *(fit.names - {n} | {name} for n in others)):
-                        if names in predicted and names not in fitted:  # no set above the largest size
-                            far_starts[names] = start
-                            predicted[names] = max(predicted[names], fit.score + gain)
-                            near[names] = fit
-            unfitted = [names for names in predicted if names not in fitted]
+            for names in sorted({frozenset(), best.names} - expanded, key=len):
+                expanded.add(names)
+                predictions |= self._predicted_neighbours(fitted[names], predictions)
+            unfitted = [names for names in predictions if names not in fitted]
             if not unfitted:
                 break
-            names = max(unfitted, key=lambda n: (predicted[n], sorted(n)))
-            if predicted[names] < best.score - FIT_WITHIN:
+            names = max(unfitted, key=lambda n: (predictions[n].score, sorted(n)))
+            prediction = predictions[names]
+            if prediction.score < best.score - FIT_WITHIN:
                 break
-            start = self.linear_estimate(near[names], names) | far_starts.get(names, {})
+            start = self.linear_estimate(prediction.near, names) | prediction.far_start
             if _all_nonzero(problem, names, start):
                 fitted[names] = self.fit(names, start, best.score - ROUGH_BEYOND)
             else:  # its predicted probability comes from values beyond the bounds
-                del predicted[names]
+                predictions[names] = prediction._replace(score=-math.inf)
+
+    def _predicted_neighbours(
+        self, fit: FittedSet, known: Mapping[EffectSet, _Prediction]
+    ) -> dict[EffectSet, _Prediction]:
+        """Return the neighbours of a fitted set as its linearisation predicts them.
+
+        An effect that fits better from a distant start, added or in the place of what it is confused with, is
+        predicted to gain as much as there. known: predictions of other fits, which keep their distant starts.
+        """
+        result: dict[EffectSet, _Prediction] = {}
+        for names in _neighbours(self.problem, fit):
+            score = fit.evidence(names) + log_prior(self.problem, names)
+            result[names] = _Prediction(score, fit, known[names].far_start if names in known else {})
+        for name, far in self._far_starts(fit.values).items():
+            confused = [n for n in self.problem.library[name].confused_with if n in fit.names]
+            for names in (fit.names | {name}, *(fit.names - {n} | {name} for n in confused)):
+                here = result.get(names) or known.get(names)  # neither: the set would be too large
+                if here is not None and names not in self.by_set:
+                    result[names] = _Prediction(max(here.score, fit.score + far.gain), fit, far.values)
+        return result
 
     def _about_other_references(self) -> list[FittedValues]:
         """Return single effects about the references of their starts, sized by the slopes there."""
@@ -222,21 +253,21 @@ class _Fits:
                     result.append({name: {**mode[name], **about}})
         return result
 
-    def _far_starts(self, values: Values) -> dict[str, tuple[FittedValues, float]]:
-        """Return effects outside `values` that fit better from a distant start: that, and the gain [nat].
+    def _far_starts(self, values: Values) -> dict[str, _FarStart]:
+        """Return the distant starts of effects outside `values` from which these fit better.
 
         If an effect is not linear in its size, the slopes at neutral may show nothing.
         """
-        squares, result = self.problem.squares, {}
-        here = squares(values)
+        # Squared white errors are a deviance, -2 log p + constant: log p gains half of what they decrease by.
+        here, result = self.problem.squares(values), {}
         for name, effect in self.problem.library.items():
-            starts = fitting(name).starts
-            if name in values or not starts:
+            if name in values:
                 continue
-            tried = [{**values, name: {**effect.neutral, **start}} for start in starts]
-            least, start = min(((squares(t), t) for t in tried), key=lambda one: one[0])
-            if here - least > 2.0 * FIT_WITHIN:
-                result[name] = {name: dict(start[name])}, 0.5 * (here - least)
+            tried = [{**effect.neutral, **start} for start in fitting(name).starts]
+            gains = [0.5 * (here - self.problem.squares({**values, name: start})) for start in tried]
+            if gains and max(gains) > FIT_WITHIN:
+                best = int(np.argmax(gains))
+                result[name] = _FarStart({name: tried[best]}, gains[best])
         return result
 
     def drop_worse_than_subsets(self) -> None:
@@ -499,5 +530,6 @@ def _rotor_instead(found: SetPosterior, name: str) -> list[str]:
     x, y = found.best.values[name]["x"], found.best.values[name]["y"]
     if min(abs(x), abs(y)) < DIAGONAL * max(abs(x), abs(y)):
         return []
-    corners = {(True, False): 1, (False, False): 2, (False, True): 3, (True, True): 4}  # x forward, y left
-    return [f"weak_rotor_{corners[x > 0.0, y > 0.0]}"]
+    # M1 is front right, M2 back right, M3 back left, M4 front left; x points forward, y to the left.
+    right, left = (1 if x > 0.0 else 2), (4 if x > 0.0 else 3)
+    return [f"weak_rotor_{left if y > 0.0 else right}"]

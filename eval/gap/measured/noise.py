@@ -24,12 +24,18 @@ from scipy.linalg import cholesky, null_space, solve_triangular
 from inclined_landing.models.threads import two_at_a_time
 from inclined_landing.models.vehicle import Vehicle
 
-TIMES = np.geomspace(0.05, 1.6, 6)  # s
-# Grid of sizes, as shares of the size at which the disturbance alone would explain the errors.
+# The likelihood is evaluated on a grid. Correlation times [s] reach from a few rows, where a disturbance is
+# hardly told from noise, to a few windows of 0.6 s, where it is hardly told from a constant.
+TIMES = np.geomspace(0.05, 1.6, 6)
+MEDIUM_TIME = 0.3  # s, in the middle of these (in logarithms): where there is nothing to estimate it from
+# Sizes, as shares of the size at which the disturbance alone would explain the errors; the least is none.
 SIZE_FACTORS = np.geomspace(0.02, 3.0, 36)
-NOISE_VARIANCES = np.geomspace(0.5, 8.0, 13)  # grid of noise variances over those estimated from the log
+NOISE_VARIANCES = np.geomspace(0.5, 8.0, 13)  # over those estimated from the log, which a filter may lower
 BOOTSTRAP_SAMPLES = 200
-OUTLYING = 4.0  # medians of the mean squares of a flight's windows, as which larger ones count
+OUTLYING = (
+    4.0  # medians of the mean squares of a flight's windows, as which larger ones count: of good errors
+)
+# with ten degrees of freedom one window in 20 000 is as large
 
 
 @dataclasses.dataclass(frozen=True)
@@ -48,26 +54,20 @@ class ErrorResponses:
 
         requests: whether there are channels of motor requests.
         """
-        # Responses to an acceleration held over a step dt, h(t) - h(t - dt), with the step responses h:
+        # Step responses h(t), to an acceleration that begins at 0:
         #   position t^2/2;  tilt (1 - m_0(t)) / (a b);  yaw [t - (1 - exp(-B t)) / B] / B
+        # and responses to one that is held over a step dt:  h(t) - h(t - dt)
         t = np.arange(rows) * dt
         since = t[:, None] - t[None, :]
-        modes, stiffness = _of_loop(vehicle)
-        turn_bandwidth = vehicle.attitude_yaw_bandwidth
-
-        def of_step(step_response) -> np.ndarray:
-            begun, over = np.maximum(since, 0.0), np.maximum(since - dt, 0.0)
-            return step_response(begun) - step_response(over)
-
-        moved = of_step(lambda s: 0.5 * s * s)
-        tilted = of_step(lambda s: (1.0 - modes(s)[0]) / stiffness)
-        turned = of_step(
-            lambda s: (s - (1.0 - np.exp(-turn_bandwidth * s)) / turn_bandwidth) / turn_bandwidth
-        )
+        begun, over = np.maximum(since, 0.0), np.maximum(since - dt, 0.0)
+        loop, bandwidth = _AttitudeLoop.of(vehicle), vehicle.attitude_yaw_bandwidth
+        moved = 0.5 * begun * begun - 0.5 * over * over
+        tilted = loop.step_response(begun) - loop.step_response(over)
+        turned = _yaw_step_response(begun, bandwidth) - _yaw_step_response(over, bandwidth)
         # An unknown start state adds these functions of time to a position, a tilt and the yaw, ...
         line = np.stack([np.ones(rows), t], axis=1)
-        tilt = np.stack(modes(t), axis=1)
-        turn = np.stack([np.ones(rows), np.exp(-turn_bandwidth * t)], axis=1)
+        tilt = np.stack(loop.free_responses(t), axis=1)
+        turn = np.stack([np.ones(rows), np.exp(-bandwidth * t)], axis=1)
         # ... and the projections that leave nothing of it.
         no_line, no_tilt, no_turn = (null_space(x.T) for x in (line, tilt, turn))
         projection = [no_line] * 3 + [no_tilt] * 2 + [no_turn]
@@ -95,20 +95,38 @@ class ErrorResponses:
         return fed @ np.exp(-np.abs(steps[:, None] - steps) / time) @ fed.T
 
 
-def _of_loop(vehicle: Vehicle):
-    """Return the attitude loop's free responses to an initial angle and rate; its stiffness [1/s2]."""
-    # x'' + zeta (a + b) x' + a b x = 0,  a = 1 / tau:  poles -m +- h,  m = zeta (a + b) / 2,  h^2 = m^2 - a b
-    a, b = 1.0 / vehicle.attitude_time_constant, vehicle.attitude_bandwidth
-    mean = 0.5 * vehicle.attitude_damping * (a + b)
-    half = np.sqrt(complex(mean * mean - a * b))
-    half = half if abs(half) > 1e-3 * mean else 1e-3 * mean
+class _AttitudeLoop(NamedTuple):
+    """The attitude loop, x'' + zeta (a + b) x' + a b x = 0, by its poles -m +- h."""
 
-    def modes(t: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        near, far = np.exp((half - mean) * t), np.exp(-(half + mean) * t)
-        drive = ((near - far) / (2.0 * half)).real
-        return (0.5 * (near + far)).real + mean * drive, drive
+    mean: float  # m = zeta (a + b) / 2 [1/s]
+    half: complex  # h, h^2 = m^2 - a b [1/s]
+    stiffness: float  # a b [1/s2]
 
-    return modes, a * b
+    @staticmethod
+    def of(vehicle: Vehicle) -> _AttitudeLoop:
+        """Return the loop of a vehicle, a = 1 / tau its time constant and b its bandwidth."""
+        a, b = 1.0 / vehicle.attitude_time_constant, vehicle.attitude_bandwidth
+        mean = 0.5 * vehicle.attitude_damping * (a + b)
+        half = np.sqrt(complex(mean * mean - a * b))
+        # Equal poles are taken as nearly equal ones, for which the formulas below hold.
+        return _AttitudeLoop(mean, half if abs(half) > 1e-3 * mean else 1e-3 * mean, a * b)
+
+    def free_responses(self, t: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """Return the angles after times t [s] by an initial angle of 1 rad, and by a rate of 1 rad/s."""
+        # m_1 = (exp((h - m) t) - exp(-(h + m) t)) / 2h,  m_0 = (exp((h - m) t) + exp(-(h + m) t)) / 2 + m m_1
+        near, far = np.exp((self.half - self.mean) * t), np.exp(-(self.half + self.mean) * t)
+        by_rate = ((near - far) / (2.0 * self.half)).real
+        return (0.5 * (near + far)).real + self.mean * by_rate, by_rate
+
+    def step_response(self, t: np.ndarray) -> np.ndarray:
+        """Return the angle after times t [s] by an angular acceleration of 1 rad/s2 that begins at 0."""
+        by_angle, _ = self.free_responses(t)
+        return (1.0 - by_angle) / self.stiffness
+
+
+def _yaw_step_response(t: np.ndarray, bandwidth: float) -> np.ndarray:
+    """Return the yaw after times t [s] by an angular acceleration of 1 rad/s2 that begins at 0."""
+    return (t - (1.0 - np.exp(-bandwidth * t)) / bandwidth) / bandwidth
 
 
 @dataclasses.dataclass(frozen=True)
@@ -131,21 +149,22 @@ class Whitening:
         size, time (C,): of the disturbance in every channel [m/s2, rad/s2], [s]; None: no disturbance.
         """
         # C = L L';  W = L^-1 N',  so that W e is white with unit variance
-        factors = []
+        whitening = []
         for channel, free in enumerate(error_responses.projection):
             covariance = error_responses.noise(channel, noise, acceleration)
             if size is not None and time is not None and size[channel] > 0.0:
-                covariance = covariance + size[channel] ** 2 * error_responses.disturbance(
-                    channel, time[channel]
-                )
+                disturbance = error_responses.disturbance(channel, time[channel])
+                covariance = covariance + size[channel] ** 2 * disturbance
             factor = cholesky(covariance, lower=True)
-            factors.append(solve_triangular(factor, free.T, lower=True))
-        rows = factors[0].shape[1]
-        t = np.arange(rows) * error_responses.dt
-        level = np.ones(rows)
-        unit = [0.5 * t * t] * 3 + [level] * 2 + [t / t[-1]] + [level] * (len(factors) - 6)
-        matrices = np.array(factors)
-        return Whitening(matrices, np.einsum("cqk,ck->cq", matrices, np.array(unit)))
+            whitening.append(solve_triangular(factor, free.T, lower=True))
+        matrices = np.array(whitening)
+        # The errors along a window that `amplitudes` measures: a position by a constant acceleration t^2/2, a
+        # constant roll or pitch, a yaw that drifts to 1 at the end, a constant difference of requests.
+        t = np.arange(matrices.shape[2]) * error_responses.dt
+        accelerated, constant, drifting = 0.5 * t * t, np.ones(len(t)), t / t[-1]
+        requests = len(matrices) - 6
+        of_unit = [accelerated] * 3 + [constant] * 2 + [drifting] + [constant] * requests
+        return Whitening(matrices, np.einsum("cqk,ck->cq", matrices, np.array(of_unit)))
 
     def __call__(self, windows: np.ndarray) -> np.ndarray:
         """Return the white errors (w, C, q) of windows (w, rows, C)."""
@@ -175,8 +194,23 @@ class NoiseModel:
     @staticmethod
     def none(channels: int) -> NoiseModel:
         """Return zero disturbance and the noise estimated from the logs."""
-        zero, time = np.zeros((2, channels)), np.full((2, channels), 0.3)
-        return NoiseModel(zero[0], zero, time[0], time, np.ones(channels))
+        return NoiseModel.of([_ChannelNoise()] * channels)
+
+    @staticmethod
+    def of(channels: Sequence[_ChannelNoise]) -> NoiseModel:
+        """Return the noise model of some channels (C,)."""
+        size, size_ci95, time, time_ci95, noise = (np.array(x) for x in zip(*channels))
+        return NoiseModel(size, size_ci95.T, time, time_ci95.T, noise)
+
+
+class _ChannelNoise(NamedTuple):
+    """Noise and disturbance of one channel, see `NoiseModel`; by default what the log shows, and none."""
+
+    size: float = 0.0
+    size_ci95: tuple[float, float] = (0.0, 0.0)
+    time: float = MEDIUM_TIME
+    time_ci95: tuple[float, float] = (MEDIUM_TIME, MEDIUM_TIME)
+    noise: float = 1.0
 
 
 def estimate(
@@ -192,9 +226,8 @@ def estimate(
     windows = [f.cut(e) for f, e in zip(flights, errors)]
     if weights is not None:
         windows = [w * np.sqrt(counts)[:, None] for w, counts in zip(windows, weights)]
-    columns = two_at_a_time(lambda c: _fit_channel(flights, windows, c), range(flights[0].channels))
-    size, size_ends, time, time_ends, noise = (np.array(x) for x in zip(*columns))
-    return NoiseModel(size, size_ends.T, time, time_ends.T, noise)
+    channels = range(flights[0].channels)
+    return NoiseModel.of(two_at_a_time(lambda c: _fit_channel(flights, windows, c), channels))
 
 
 class _Modes(NamedTuple):
@@ -205,32 +238,33 @@ class _Modes(NamedTuple):
     windows: int
 
 
-def _fit_channel(flights, windows, channel: int):
-    """Return the fields of a channel's `NoiseModel`, in their order: numbers, and intervals (low, high)."""
+def _fit_channel(flights, windows, channel: int) -> _ChannelNoise:
+    """Return the noise and disturbance of a channel, with intervals by a bootstrap over flights."""
     parts = [_simultaneous_modes(f, w, channel) for f, w in zip(flights, windows) if f.logged[channel]]
     if not parts:
-        return 0.0, (0.0, 0.0), 0.3, (0.3, 0.3), 1.0
+        return _ChannelNoise()
     # The size at which the disturbance alone, of a medium correlation time, would explain the errors.
     medium = [part[len(TIMES) // 2] for part in parts]
     typical = np.median([modes.squares.mean() / modes.variances.mean() for modes in medium])
     sizes = SIZE_FACTORS * np.sqrt(max(typical, 1e-12))
-    table = np.stack([_log_likelihood(part, sizes) for part in parts])  # (f, times, noise, sizes)
-    best = np.unravel_index(int(np.argmax(table.sum(axis=0))), table.shape[1:])
+    by_flight = np.stack([_log_likelihood(part, sizes) for part in parts])  # (f, times, noise, sizes)
+    total = by_flight.sum(axis=0)
+    at_time, at_noise, at_size = np.unravel_index(int(np.argmax(total)), total.shape)
+    size = _parabola_vertex(np.log(sizes), total[at_time, at_noise], at_size)
+    time = _parabola_vertex(np.log(TIMES), total[:, at_noise, at_size], at_time)
+    noise = float(np.sqrt(NOISE_VARIANCES[at_noise]))
+    # Where the likelihood is largest in every sample of the flights, the noise as it is.
     rng = np.random.default_rng((0, channel))
     counts = rng.multinomial(len(parts), np.full(len(parts), 1.0 / len(parts)), BOOTSTRAP_SAMPLES)
-    drawn = np.tensordot(counts, table[:, :, best[1], :], axes=1)
+    drawn = np.tensordot(counts, by_flight[:, :, at_noise, :], axes=1)  # (BOOTSTRAP_SAMPLES, times, sizes)
     places = [np.unravel_index(int(np.argmax(x)), x.shape) for x in drawn]
-    size_ends = np.quantile([sizes[k] for _, k in places], [0.025, 0.975])
-    time_ends = np.quantile([TIMES[k] for k, _ in places], [0.025, 0.975])
-    total = table.sum(axis=0)
-    size = _parabola_vertex(np.log(sizes), total[best[0], best[1]], best[2])
-    time = _parabola_vertex(np.log(TIMES), total[:, best[1], best[2]], best[0])
-    factor = float(np.sqrt(NOISE_VARIANCES[best[1]]))
-    if best[2] == 0:  # the smallest size of the grid: no disturbance
-        return 0.0, (0.0, float(size_ends[1])), time, tuple(time_ends), factor
-    size_ci95 = (min(size, size_ends[0]), max(size, size_ends[1]))
-    time_ci95 = (min(time, time_ends[0]), max(time, time_ends[1]))
-    return size, size_ci95, time, time_ci95, factor
+    time_low, time_high = np.quantile([TIMES[k] for k, _ in places], [0.025, 0.975])
+    size_low, size_high = np.quantile([sizes[k] for _, k in places], [0.025, 0.975])
+    if at_size == 0:  # the smallest size of the grid: no disturbance
+        return _ChannelNoise(0.0, (0.0, float(size_high)), time, (time_low, time_high), noise)
+    size_ci95 = (min(size, size_low), max(size, size_high))
+    time_ci95 = (min(time, time_low), max(time, time_high))
+    return _ChannelNoise(size, size_ci95, time, time_ci95, noise)
 
 
 def _simultaneous_modes(flight, windows: np.ndarray, channel: int) -> list[_Modes]:

@@ -32,6 +32,7 @@ from inclined_landing.models.vehicle import Vehicle
 
 MOMENT = 0.1  # s: a vehicle that hits something stops within
 DIGIT = 1e-4  # m or rad, to which poses are compared: a file may have been written again with fewer digits
+NUMBER_BITS = 53  # of the number of a pose: the most that a JSON reader with floats keeps exactly
 SAMPLED = 16  # of so many rows, one is kept to recognise a flight by
 SAME = 0.5  # share of its poses that a flight has in common with itself, cut out and written again
 DIFFERENT = "fitting and evaluation need different flights"
@@ -120,8 +121,8 @@ class UsableFlights:
 
     def without_angle_commands(self, vehicle: Vehicle) -> UsableFlights:
         """Return the flights as if their attitude commands were not known."""
-        logs, heldout = (list(map(_without_angle_commands, some)) for some in (self.logs, self.heldout))
-        fitted, _ = prepare_all(logs, vehicle, self.platform)
+        fitted, _ = prepare_all(list(map(_without_angle_commands, self.logs)), vehicle, self.platform)
+        heldout = list(map(_without_angle_commands, self.heldout))
         judged, _ = prepare_all(heldout, vehicle, self.platform) if heldout else ([], ())
         return dataclasses.replace(self, fitted=fitted, judged=judged)
 
@@ -144,13 +145,20 @@ def usable_flights(
     """
     if platform is None:
         platform = any(log.contact is not None and log.contact.any() for log in as_logs(flights))
-    logs, aside = set_aside(as_logs(flights), vehicle, platform)
-    kept, kept_aside = set_aside(as_logs(heldout), vehicle, platform)
-    logs, kept, copies, shared = distinct(logs, kept)
-    fitted, notes = prepare_all(logs, vehicle, platform)
-    judged, kept_notes = prepare_all(kept, vehicle, platform) if kept else ([], ())
-    notes, left_out = (*notes, *kept_notes, *shared), (*aside, *kept_aside, *copies)
-    return UsableFlights(logs, kept, fitted, judged, left_out, notes, platform)
+    to_fit, aside = set_aside(as_logs(flights), vehicle, platform)
+    to_judge, aside_held_out = set_aside(as_logs(heldout), vehicle, platform)
+    once = distinct(to_fit, to_judge)
+    fitted, notes = prepare_all(once.logs, vehicle, platform)
+    judged, notes_held_out = prepare_all(once.heldout, vehicle, platform) if once.heldout else ([], ())
+    return UsableFlights(
+        logs=once.logs,
+        heldout=once.heldout,
+        fitted=fitted,
+        judged=judged,
+        set_aside=(*aside, *aside_held_out, *once.set_aside),
+        notes=(*notes, *notes_held_out, *once.notes),
+        platform=platform,
+    )
 
 
 def set_aside(
@@ -218,10 +226,11 @@ def _strange_touch(log: FlightLog, vehicle: Vehicle, platform: bool) -> str:
 
 
 def poses(log: FlightLog) -> np.ndarray:
-    """Return a number (m,) for the pose of every row, the same for the same pose."""
+    """Return a number (m,) of NUMBER_BITS for the pose of every row, the same for the same pose."""
     turned = np.arctan2(np.sin(log.attitude), np.cos(log.attitude))
     cells = np.round(np.nan_to_num(np.hstack([log.position, turned])) / DIGIT).astype(np.int64)
-    return pandas.util.hash_pandas_object(pandas.DataFrame(cells), index=False).to_numpy() >> np.uint64(11)
+    hashes = pandas.util.hash_pandas_object(pandas.DataFrame(cells), index=False).to_numpy()  # of 64 bits
+    return hashes >> np.uint64(64 - NUMBER_BITS)
 
 
 def fingerprint(log: FlightLog) -> tuple[int, ...]:
@@ -239,6 +248,15 @@ def check_unused(logs: Iterable[FlightLog], used: Mapping[str, Sequence[int]], w
                 raise UserError(f"{log.name} holds the same flight as {name} {where}; {DIFFERENT}")
 
 
+class DistinctFlights(NamedTuple):
+    """Flights of which no row is also one of an earlier flight."""
+
+    logs: list[FlightLog]
+    heldout: list[FlightLog]
+    set_aside: tuple[SetAside, ...]  # flights of which nothing new is left
+    notes: tuple[str, ...]  # on flights of which a part is left
+
+
 class _Kept(NamedTuple):
     """The part of a flight that is kept."""
 
@@ -247,16 +265,15 @@ class _Kept(NamedTuple):
     held_out: bool
 
 
-def distinct(
-    flights: Sequence[FlightLog], heldout: Sequence[FlightLog]
-) -> tuple[list[FlightLog], list[FlightLog], tuple[SetAside, ...], tuple[str, ...]]:
-    """Return flights and held-out flights without the rows of an earlier one; those left out, and notes.
+def distinct(flights: Sequence[FlightLog], heldout: Sequence[FlightLog]) -> DistinctFlights:
+    """Return flights and held-out flights without the rows of an earlier one.
 
     Raises UserError for a held-out flight that is fitted.
     """
     aside, notes = list[SetAside](), list[str]()
     kept: list[_Kept] = []
-    for log, held_out in [*((log, False) for log in flights), *((log, True) for log in heldout)]:
+    for k, log in enumerate([*flights, *heldout]):
+        held_out = k >= len(flights)
         own = _Kept(log, poses(log), held_out)  # less and less of it, as its rows turn up in earlier flights
         for earlier in kept:
             again = np.isin(own.poses, earlier.poses)
@@ -277,8 +294,12 @@ def distinct(
             own = _Kept(own.log.rows(new), own.poses[new], held_out)
         else:
             kept.append(own)
-    to_fit, to_judge = ([one.log for one in kept if one.held_out is held_out] for held_out in (False, True))
-    return to_fit, to_judge, tuple(aside), tuple(notes)
+    return DistinctFlights(
+        logs=[one.log for one in kept if not one.held_out],
+        heldout=[one.log for one in kept if one.held_out],
+        set_aside=tuple(aside),
+        notes=tuple(notes),
+    )
 
 
 def _lasting(t: np.ndarray, rows: np.ndarray) -> np.ndarray:

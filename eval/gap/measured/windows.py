@@ -10,6 +10,7 @@ import dataclasses
 import math
 from collections.abc import Sequence
 from functools import cached_property
+from typing import NamedTuple
 
 import numpy as np
 import scipy  # whose submodules are imported when they are used
@@ -29,13 +30,22 @@ WINDOW = 0.6  # s
 RATE = 100.0  # rows per second, at most, that the windows are made of
 SMOOTHING = 0.1  # s to either side of a sample, for velocities
 SKIP_AT_START = 0.25  # s of a log, and after a gap, for the unknown thrust lag to decay
-NEAR = 0.15  # m above a surface that counts as near
-LOW_BATTERY = 3.4  # V under load
 REGIMES = ("hover", "climb", "lateral", "attitude_step", "near_surface", "low_battery")
+# Where a regime begins. Regimes group errors in the report and decide no name, so round numbers do.
+NEAR = 0.15  # m above a surface: a few rotor radii, within which the ground effect shows
+LOW_BATTERY = 3.4  # V under load
+CLIMBING, LATERAL = 0.2, 0.5  # m/s, mean speeds of a window
+STEPPED, STEP_TIME = 0.12, 0.1  # rad within s: a change of an angle that smooth flight does not ask for
 # Commanded thrust below this share of the hover thrust is no flight.
 IDLE = 0.3
 # Without contacts in the log, rows no higher than this above its lowest one, at its ends, may touch [m].
 GROUND_HEIGHT = 0.02
+WELL_ABOVE = 0.1  # m, by which the median height must exceed that of rows that count as on the ground
+RESTING_TIME, RESTING_HEIGHT = 1.0, 0.01  # s in which a vehicle at rest does not move by more m
+LOWEST = 0.02  # quantile of the heights that counts as the lowest, because of outliers
+BEFORE_STOP, AFTER_STOP = 0.05, 0.1  # s around contact and idling that are no free flight either
+UNEVEN, ABOVE_RATE = 0.02, 1.05  # of a step, of RATE: what is within is not resampled, as clocks jitter
+THROUGH_SLAB = 0.02  # m that a position over the slab may be measured below its surface
 # Lower bounds of the noise estimate, for smoothed logs: m, rad.
 LEAST_POSITION_NOISE, LEAST_ANGLE_NOISE = 1e-4, 3e-4
 LEAST_REQUEST_NOISE = 1e-3  # of the sum of all requests
@@ -110,14 +120,15 @@ class MeasuredFlight:
         horizontal = np.hypot(speed[..., 0], speed[..., 1]).mean(axis=1)
         vertical = np.abs(speed[..., 2]).mean(axis=1)
         angles = self.cut(self.command[:, 1:3] if self.has_angle_commands else self.attitude[:, :2])
-        lag = max(1, round(0.1 / self.dt))
-        stepped = np.abs(angles[:, lag:] - angles[:, :-lag]).max(axis=(1, 2)) > 0.12
+        lag = max(1, round(STEP_TIME / self.dt))
+        stepped = np.abs(angles[:, lag:] - angles[:, :-lag]).max(axis=(1, 2)) > STEPPED
         near = self.cut(self.clearance).min(axis=1) < NEAR
         low = np.zeros(len(near), bool)
         if self.voltage is not None:
             low = self.cut(self.voltage).mean(axis=1) < LOW_BATTERY
-        climb, lateral = vertical > 0.2, horizontal > 0.5
-        return np.stack([~(climb | lateral | stepped | near), climb, lateral, stepped, near, low], axis=1)
+        climb, lateral = vertical > CLIMBING, horizontal > LATERAL
+        hover = ~(climb | lateral | stepped | near)
+        return np.stack([hover, climb, lateral, stepped, near, low], axis=1)
 
     @property
     def pose(self) -> np.ndarray:
@@ -136,8 +147,8 @@ class MeasuredFlight:
 
     def whitened(self, error_responses: ErrorResponses, noise_model: NoiseModel) -> MeasuredFlight:
         """Return the flight whitened with measurement noise and disturbance of a noise model."""
-        noise, of = self.noise * noise_model.noise, noise_model
-        whitening = Whitening.of(error_responses, noise, self.acceleration_noise, of.size, of.time)
+        noise, size, time = self.noise * noise_model.noise, noise_model.size, noise_model.time
+        whitening = Whitening.of(error_responses, noise, self.acceleration_noise, size, time)
         return dataclasses.replace(self, error_responses=error_responses, whitening=whitening)
 
     def with_request_slope(self, slope: float) -> MeasuredFlight:
@@ -145,24 +156,23 @@ class MeasuredFlight:
         assert self.requests is not None
         return dataclasses.replace(self, requests=dataclasses.replace(self.requests, slope=slope))
 
-    def attitude_of(self, vehicle: Vehicle) -> tuple[np.ndarray, ...]:
-        """Return the rotors' attitudes in the middle of every step, and what follows from them.
+    def attitude_of(self, vehicle: Vehicle) -> RotorAttitude:
+        """Return the rotors' attitude along the flight.
 
-        These are their rotations and `rates_about_x`; the last is the first attitude. A tilt and a delay of
-        the measured attitude beyond that of the position are taken off.
+        A tilt and a delay of the measured attitude beyond that of the position are taken off.
         """
         tilt, late = vehicle.effects_mocap_tilt, vehicle.effects_estimator_delay
-        cached = self._attitudes.get((tilt, late))
-        if cached is None:
+        known = self._attitudes.get((tilt, late))
+        if known is None:
             middle, rotation, first = self.middle_attitude, self.middle_rotation, self.attitude[0]
             if late or any(tilt):
                 middle = remove_tilt(earlier(middle, -late / self.dt), tilt)
                 rotation, first = rotations(middle), remove_tilt(self.attitude[:1], tilt)[0]
-            cached = middle, rotation, rates_about_x(middle), first
+            known = RotorAttitude(rotation, rates_about_x(middle), first)
             if len(self._attitudes) >= KEPT_ATTITUDES:
                 self._attitudes.clear()
-            self._attitudes[tilt, late] = cached
-        return cached
+            self._attitudes[tilt, late] = known
+        return known
 
     def cut(self, values: np.ndarray) -> np.ndarray:
         """Return the windows (w, rows, ...) of `values` (m, ...)."""
@@ -172,6 +182,14 @@ class MeasuredFlight:
         """Return those of the rows `first` (k,) from which on `rows` rows are usable throughout."""
         blocked = np.concatenate([[0], np.cumsum(~self.usable)])
         return first[blocked[first + rows] == blocked[first]]
+
+
+class RotorAttitude(NamedTuple):
+    """The attitude that drives a flight's translation."""
+
+    rotation: np.ndarray  # (m - 1, 3, 3) body to world, in the middle of every step
+    rates_about_x: np.ndarray  # (m - 1, 3) see `rates_about_x`, in the middle of every step
+    first: np.ndarray  # (3,) rad, roll, pitch, yaw of the first row
 
 
 @dataclasses.dataclass(frozen=True)
@@ -329,7 +347,7 @@ def _resampled(log: FlightLog) -> FlightLog:
     """Return the log on an even time grid of at most RATE."""
     step = np.diff(log.t)
     dt = float(np.median(step))
-    uneven = np.abs(step - dt).max() > 0.02 * dt or 1.0 / dt > 1.05 * RATE
+    uneven = np.abs(step - dt).max() > UNEVEN * dt or 1.0 / dt > ABOVE_RATE * RATE
     return log.resampled(min(RATE, round(1.0 / dt, 3))) if uneven else log
 
 
@@ -384,16 +402,15 @@ def in_free_flight(log: FlightLog, vehicle: Vehicle) -> np.ndarray:
     # A vehicle that rests while the record begins stands on the ground, if it is nowhere lower and flies well
     # above that later.
     height = log.position[:, 2]
-    resting = np.abs(height - height[0]) < 0.01
+    resting = np.abs(height - height[0]) < RESTING_HEIGHT
     lead = len(resting) if resting.all() else int(np.argmin(resting))
-    if lead * dt > 1.0:
-        lowest = np.nanquantile(height, 0.02) + 0.01  # but for outliers and noise
-        if height[0] < lowest < np.nanmedian(height) - 0.1:
+    if lead * dt > RESTING_TIME:
+        lowest = np.nanquantile(height, LOWEST) + RESTING_HEIGHT
+        if height[0] < lowest < np.nanmedian(height) - WELL_ABOVE:
             bad[:lead] = True
-    # Margins around contact and idling: 0.05 s before, 0.1 s after.
     wide = bad.copy()
     for k in np.flatnonzero(bad[1:] != bad[:-1]):
-        wide[max(0, k - round(0.05 / dt)) : k + 2 + round(0.1 / dt)] = True
+        wide[max(0, k - round(BEFORE_STOP / dt)) : k + 2 + round(AFTER_STOP / dt)] = True
     return ~wide
 
 
@@ -401,7 +418,7 @@ def _on_ground(height: np.ndarray) -> np.ndarray:
     """Return the rows (m,) on the ground at a log's ends, in a log that climbs well above that."""
     low = ~(height > np.nanmin(height) + GROUND_HEIGHT)
     result = np.zeros(len(low), bool)
-    if np.nanmedian(height) > np.nanmin(height) + 0.1 and not low.all():
+    if np.nanmedian(height) > np.nanmin(height) + WELL_ABOVE and not low.all():
         result[: int(np.argmin(low))] = True
         result[len(low) - int(np.argmin(low[::-1])) :] = True
     return result
@@ -422,11 +439,12 @@ def _window_starts(usable: np.ndarray, rows: int) -> np.ndarray:
 
 def _acceleration_noise(noise: np.ndarray, attitude: np.ndarray, vehicle: Vehicle) -> np.ndarray:
     """Return the noise (3,) of the predicted acceleration [m/s2] by the attitude noise."""
-    # Thrust g tilted by the attitude error:  horizontal g sigma,  vertical g sigma sin(tilt)
+    # Thrust g tilted by the attitude error:  horizontal g sigma,  vertical g sigma sin(tilt),  where the tilt
+    # is sqrt(2) times the root mean square of roll and pitch, here 1.5 for the larger of turning flights.
     g = vehicle.environment_gravity
-    tilt = math.sqrt(np.mean(attitude[:, :2] ** 2)) if len(attitude) else 0.0
+    tilt = 1.5 * math.sqrt(np.mean(attitude[:, :2] ** 2)) if len(attitude) else 0.0
     horizontal = g * math.sqrt(0.5 * (noise[3] ** 2 + noise[4] ** 2))
-    return np.array([horizontal, horizontal, horizontal * min(1.0, 1.5 * tilt)])
+    return np.array([horizontal, horizontal, horizontal * min(1.0, tilt)])
 
 
 def _clearance(position: np.ndarray, vehicle: Vehicle, platform: bool) -> np.ndarray:
@@ -437,4 +455,4 @@ def _clearance(position: np.ndarray, vehicle: Vehicle, platform: bool) -> np.nda
     slope = math.tan(vehicle.platform_inclination)
     above = (z - vehicle.platform_surface_height + slope * x) * math.cos(vehicle.platform_inclination)
     over = (np.abs(x) < 0.5 * vehicle.platform_width) & (np.abs(y) < 0.5 * vehicle.platform_depth)
-    return np.where(over & (above > -0.02), np.minimum(z, above), z)
+    return np.where(over & (above > -THROUGH_SLAB), np.minimum(z, above), z)

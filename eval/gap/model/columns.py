@@ -13,7 +13,7 @@ import dataclasses
 import itertools
 import math
 from collections.abc import Iterable, Mapping, Sequence
-from typing import ClassVar, TypeVar
+from typing import ClassVar, NamedTuple, TypeVar
 
 import numpy as np
 import scipy  # whose submodules are imported when they are used
@@ -38,11 +38,17 @@ SLAB = 1.0  # standard deviation of the slab, in plausible sizes
 # Covariance of a unit size at both sides: see `slab_covariance`.
 SHAPE_COVARIANCE = np.array([[0.3125, 0.1875], [0.1875, 0.3125]])
 LATE = 0.03  # s, by which a contribution may come later
-_LOAD, _SPEED, _CLIMB, _TIME = 0.2, 1.0, 0.5, 20.0  # of hover thrust, m/s, m/s, s: quantities of order one
+# Model errors are proportional to quantities of order one in ordinary flights: what varies, over one of
+# these. They are the same for all vehicles and flights, so that weights mean the same.
+_LOAD = 0.2  # of the command, over that of the shipped vehicle in hover
+_HOVER = load_vehicle().hover_pwm
+_MOTOR = 0.065  # s, by which that lags, about as much as motors do
+_SPEED, _CLIMB, _TIME = 1.0, 0.5, 20.0  # m/s, m/s, s
 _ANGLE, _TURN = 0.2, 1.0  # rad, rad/s
-_MOTOR = 0.065  # s, lag of the load
-_HOVER = load_vehicle().hover_pwm  # the same for all vehicles and flights, so that weights mean the same
-# Errors of the base model, with the standard deviations of their weights: from development families.
+# Errors of the base model, with the standard deviations of their weights. These scales were chosen by hand on
+# the development families: 2 % of the thrust, 10 % of the drag, 5 % of a loop's answer and 0.3 of its bend,
+# times sqrt(2). With half or twice as much, gap names the same in its bundled example, as surely, and the
+# interval of the drag is 6 % narrower, or 3 % wider.
 BASE_DEVIATIONS = {
     **{f"thrust {what}": 0.03 for what in ("load", "speed", "climb", "time")},
     **{f"drag {what}": 0.14 for what in ("load", "speed", "climb", "x")},
@@ -50,7 +56,8 @@ BASE_DEVIATIONS = {
     "attitude bend": 0.42,
     **{f"yaw {what}": 0.07 for what in ("turn", "time")},
 }
-ALONE = 0.05  # share of these that is free where no flights of a reference have shown them
+ALONE = 0.05  # share of these that is free where no flights of a reference have shown them, by hand as well
+WEIGHT_BOUND = 9.0  # of the weight of a model error: no bound, for one of the order of its deviation
 
 
 # These entries say how effects are fitted; their physics is in models/effects. Numbers were chosen on the
@@ -136,6 +143,13 @@ FITTING = {
 }
 
 
+class FixedParameter(NamedTuple):
+    """A parameter at a value."""
+
+    name: str
+    value: float
+
+
 class ParameterColumn(Struct, frozen=True, tag="parameter"):
     """A column of the Jacobian: a parameter of an effect.
 
@@ -145,8 +159,8 @@ class ParameterColumn(Struct, frozen=True, tag="parameter"):
 
     effect: str
     parameter: str
-    # A pair of columns has here the reference's name and the end of its range that each is about.
-    fixed: tuple[tuple[str, float], ...] = ()
+    # Of a pair of columns: the reference, at the end of its range that the column is about.
+    fixed: tuple[FixedParameter, ...] = ()
 
     @property
     def key(self) -> tuple[str, str]:
@@ -238,19 +252,20 @@ class Candidates:
 
     def parameter(self, column: Column) -> Parameter:
         """Return the parameter of a column; of a model error, its weight."""
+        if isinstance(column, ParameterColumn):
+            return self.library[column.effect].parameter(column.parameter)
+        bounds = -WEIGHT_BOUND, WEIGHT_BOUND
         if isinstance(column, BaseColumn):
             sd = BASE_DEVIATIONS[column.form]
-            return Parameter(column.form, bounds=(-9.0, 9.0), plausible=sd, negligible=sd / OFF)
-        if isinstance(column, FormColumn):
-            sd = fitting(column.effect).form
-            return Parameter(
-                column.form, bounds=(-9.0, 9.0), plausible=0.0, negligible=sd / OFF, is_reference=True
-            )
-        return self.library[column.effect].parameter(column.parameter)
+            return Parameter(column.form, bounds=bounds, plausible=sd, negligible=sd / OFF)
+        # Like a reference it has no size of its own: it is free while its effect is not neutral, and its slab
+        # has the standard deviation OFF * negligible (`slab_deviations`), which is `form`.
+        sd = fitting(column.effect).form
+        return Parameter(column.form, bounds=bounds, plausible=0.0, negligible=sd / OFF, is_reference=True)
 
     def variation(self, column: Column) -> Variation:
         """Return by how much what fits a column best varies."""
-        if isinstance(column, BaseColumn):
+        if isinstance(column, BaseColumn):  # as much of it with the manoeuvre as with the vehicle
             return Variation(manoeuvre=0.5 * BASE_DEVIATIONS[column.form])
         known = fitting(column.effect).parameters.get(column.key[1], Variation())
         return known * self.parameter(column).times
@@ -282,7 +297,8 @@ class Candidates:
             effect = self.library[name]
             if (about := effect.reference) is not None:
                 first = effect.parameters[0].name
-                result += [ParameterColumn(name, first, ((about.name, end),)) for end in about.either_side()]
+                fixed = [FixedParameter(about.name, end) for end in about.either_side()]
+                result += [ParameterColumn(name, first, (one,)) for one in fixed]
             else:
                 result += [ParameterColumn(name, p.name) for p in effect.parameters]
         return result
@@ -291,17 +307,18 @@ class Candidates:
         """Return the columns of all effects and of the base model's errors."""
         return self.columns([*self.library, BASE])
 
-    def one_sided_difference(self, values: Values, column: ParameterColumn) -> tuple[Vehicle, float]:
-        """Return the vehicle of a one-sided finite difference along a column at `values`, and the step."""
+    def one_sided_difference(self, values: Values, column: ParameterColumn) -> MovedVehicle:
+        """Return the vehicle a step further along a column than at `values`, within the bounds."""
         p = self.parameter(column)
         step = self.variation(column).step or p.negligible
         if column.fixed:  # a second instance of the effect, added to the first
             added = {p.name: p.value_at(step), **dict(column.fixed)}
-            return self.library[column.effect].apply(self.corrected(values), added), step
+            return MovedVehicle(self.library[column.effect].apply(self.corrected(values), added), step)
         at = {**self.library[column.effect].neutral, **values.get(column.effect, {})}
         here = p.coordinate(at[p.name])
         step = step if p.value_at(here + step) <= p.possible[1] else -step
-        return self.corrected({**values, column.effect: {**at, p.name: p.value_at(here + step)}}), step
+        there = {**values, column.effect: {**at, p.name: p.value_at(here + step)}}
+        return MovedVehicle(self.corrected(there), step)
 
     def coordinates(self, values: Values, columns: Sequence[Column]) -> np.ndarray:
         """Return the coordinates (P,) of values along columns; of effects' model errors 0."""
@@ -315,8 +332,8 @@ class Candidates:
                 result[k] = p.coordinate(at.get(p.name, p.neutral))
                 if column.fixed and (about := effect.reference) is not None:
                     at_lowest, at_highest = effect.at_ends(result[k], at.get(about.name, about.neutral))
-                    (_, end), (_, highest) = column.fixed[0], about.either_side()
-                    result[k] = at_highest if end == highest else at_lowest
+                    is_highest = column.fixed[0].value == about.either_side()[1]
+                    result[k] = at_highest if is_highest else at_lowest
         return result
 
     def values_at(self, names: Iterable[str], columns: Sequence[Column], at: np.ndarray) -> FittedValues:
@@ -326,11 +343,10 @@ class Candidates:
             if name not in names:
                 continue
             own = {k: c for k, c in enumerate(columns) if isinstance(c, ParameterColumn) and c.effect == name}
-            found = {c.parameter: self.parameter(c).value_at(at[k]) for k, c in own.items()}
             if effect.reference:
-                first = effect.parameters[0]
-                size, about = effect.from_ends(*at[list(own)])
-                found = {first.name: first.neutral + size, effect.reference.name: about}
+                found = effect.values_from_ends(*at[list(own)])
+            else:
+                found = {c.parameter: self.parameter(c).value_at(at[k]) for k, c in own.items()}
             result[name] = {
                 p.name: float(np.clip(found.get(p.name, p.neutral), *p.possible)) for p in effect.parameters
             }
@@ -349,6 +365,13 @@ class Candidates:
         return ends, high - low
 
 
+class MovedVehicle(NamedTuple):
+    """A vehicle for a finite difference, (f(vehicle) - f(here)) / step."""
+
+    vehicle: Vehicle
+    step: float  # in the coordinate of a column
+
+
 def without(values: Mapping[str, T], *names: str) -> dict[str, T]:
     """Return the values of the other effects."""
     return {name: of for name, of in values.items() if name not in names}
@@ -365,7 +388,7 @@ def slab_deviations(candidates: Candidates, columns: Sequence[Column]) -> np.nda
 
 def slab_covariance(candidates: Candidates, columns: Sequence[Column]) -> np.ndarray:
     """Return the slabs' covariance (P, P); the two columns of an effect about a reference are correlated."""
-    # A size s ~ N(0, w^2) about a reference at the share t ~ N(0, 1/4) from the middle is s (1/2 - t) and
+    # A size s ~ N(0, w^2) about a reference at the share t ~ N(0, 1/16) from the middle is s (1/2 - t) and
     # s (1/2 + t) along the two columns: E x_i^2 = w^2 (1/4 + 1/16), E x_i x_j = w^2 (1/4 - 1/16).
     width = slab_deviations(candidates, columns)
     shape = np.eye(len(columns))
@@ -377,17 +400,23 @@ def slab_covariance(candidates: Candidates, columns: Sequence[Column]) -> np.nda
 
 
 def _form_column(name: str, contribution: np.ndarray, flight: MeasuredFlight) -> np.ndarray:
+    """Return the column (m, C) of a model error of what contributes (m, C) to a prediction.
+
+    name: the group of channels that it is in, and what it is proportional to.
+    """
     group, what = name.split()
     own = CHANNEL_GROUPS[group]
     result, part = np.zeros_like(contribution), contribution[:, own]
-    if what == "late":
+    if what == "late":  # f(t - T) - f(t) = -T f' + ...
         result[:, own] = -LATE * np.gradient(part, flight.dt, axis=0)
-    elif what == "bend":  # one order more of a loop's answer
+    elif what == "bend":  # T^2 f'', one order more of a loop's answer
         result[:, own] = LATE**2 * np.gradient(np.gradient(part, flight.dt, axis=0), flight.dt, axis=0)
-    elif what == "roll":
-        result[:, 3] = contribution[:, 3]
-    elif what == "slope":  # of the motors' requests over a torque about x or y, as the vehicle's slope is off
-        result[:, -3:-1] = contribution[:, -3:-1]
+    elif what == "roll":  # of roll alone
+        roll = own.start
+        result[:, roll] = contribution[:, roll]
+    elif what == "slope":  # of the requests over a torque about x or y, as the vehicle's slope is off
+        about_x_and_y = slice(own.start, own.stop - 1)
+        result[:, about_x_and_y] = contribution[:, about_x_and_y]
     elif group == "translation":
         result[:, own] = _moved(np.diff(part, 2, axis=0), what, flight)
     else:

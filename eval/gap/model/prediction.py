@@ -46,6 +46,8 @@ UNITS_OF = {
     **dict.fromkeys(REQUEST_CHANNELS, "1"),
 }
 ROLL_CHANNEL, YAW_CHANNEL = 3, 5
+# Powers of its command that a rotor's thrust goes with: measured propellers with batteries lie within.
+LEAST_ELASTICITY, MOST_ELASTICITY = 0.7, 1.4
 # Channels of effects -> channels of a flight.
 CHANNEL_GROUPS = {
     "translation": slice(0, 3),
@@ -53,15 +55,21 @@ CHANNEL_GROUPS = {
     "yaw": slice(5, 6),
     "requests": slice(6, 9),
 }
-_NEUTRAL = np.array(NEUTRAL)
-# These constants act in the attitude loops alone, as do those of the table `attitude`: the constants of the
-# loops' plugin, and the delay of their commands. Vehicles that differ in none of these share a prediction of
-# the attitude.
-_OF_THE_LOOPS = {*plugins.fields()["attitude"].values(), "effects_attitude_delay"}
-_fields = [f.name for f in dataclasses.fields(Vehicle)]
-_of_loops = [n for n in _fields if n in _OF_THE_LOOPS or n.startswith("attitude_")]
-_translation = attrgetter(*(n for n in _fields if n not in _of_loops))  # of a vehicle: all that it depends on
-_loops = attrgetter(*_of_loops, "effects_mocap_delay")  # with the attitude and the moments
+_NO_PERTURBATION = np.array(NEUTRAL)
+
+# Vehicles share a prediction of the translation, or of the attitude, if all constants that it depends on are
+# equal. Those of the attitude loops alone are those of the table `attitude`, of the loops' plugin, and the
+# delay of their commands; the translation depends on all others.
+_LOOPS_OF_PLUGIN = set(plugins.fields()["attitude"].values())
+_OF_THE_LOOPS = [
+    name
+    for name in (f.name for f in dataclasses.fields(Vehicle))
+    if name in _LOOPS_OF_PLUGIN or name.startswith("attitude_") or name == "effects_attitude_delay"
+]
+_OTHERS = [f.name for f in dataclasses.fields(Vehicle) if f.name not in _OF_THE_LOOPS]
+_constants_of_translation = attrgetter(*_OTHERS)
+# Next to these the attitude depends on its start and on torques, which are compared when they are known.
+_constants_of_attitude = attrgetter(*_OF_THE_LOOPS, "effects_mocap_delay")
 
 
 def channels_of(flights) -> tuple[str, ...]:
@@ -87,27 +95,44 @@ def predictor(like, vehicles: Sequence[Vehicle]) -> Callable[[Any], np.ndarray]:
     In memory they lie one channel after another.
     """
     packed = _packed(like, vehicles)
-    # For speed alone: vehicles with the same correction of the measured attitude are predicted together, and
-    # what one has in common with the first of them (`same`) is taken from that.
-    seen = [(v.effects_mocap_tilt, v.effects_estimator_delay) for v in vehicles]
-    groups = []
-    for alike in dict.fromkeys(seen):
-        own = np.array([k for k, one in enumerate(seen) if one == alike])
-        of_first = vehicles[own[0]]
-        same = [[of(vehicles[k]) == of(of_first) for k in own] for of in (_translation, _loops)]
-        groups.append((of_first, own, np.array(same)))
+    # For speed alone: vehicles with the same correction of the measured attitude are predicted together.
+    corrections = [(v.effects_mocap_tilt, v.effects_estimator_delay) for v in vehicles]
+    groups = [
+        _Alike.of(vehicles, [k for k, one in enumerate(corrections) if one == correction])
+        for correction in dict.fromkeys(corrections)
+    ]
 
     def along(flight) -> np.ndarray:
         out = np.empty((len(vehicles), flight.channels, flight.samples))
-        for of_first, own, same in groups:
+        for group in groups:
+            measured = _Measured.of(flight, vehicles[group.own[0]])
             begun = Starts.none(flight.samples, flight.starts, flight.rows, flight.dt)
-            _predict(_Measured.of(flight, of_first), packed, own, same, begun, out)
+            _predict(measured, packed, group.own, group.same, begun, out)
         if flight.requests is not None:
             for vehicle, one in zip(vehicles, out):
                 one[YAW_CHANNEL + 1 :] = requested_differences(flight, vehicle).T
         return out.transpose(0, 2, 1)
 
     return along
+
+
+class _Alike(NamedTuple):
+    """Vehicles whose measured attitude is corrected alike, and what they share with the first of them."""
+
+    own: np.ndarray  # (k,) their indices
+    same: (
+        np.ndarray
+    )  # (2, k) bool: whether the constants of translation, and of attitude, are those of the first
+
+    @staticmethod
+    def of(vehicles: Sequence[Vehicle], own: Sequence[int]) -> _Alike:
+        """Return the vehicles `own`, compared with the first of these."""
+        first = vehicles[own[0]]
+        translation = [
+            _constants_of_translation(vehicles[k]) == _constants_of_translation(first) for k in own
+        ]
+        attitude = [_constants_of_attitude(vehicles[k]) == _constants_of_attitude(first) for k in own]
+        return _Alike(np.array(own), np.array([translation, attitude]))
 
 
 def angle_integrals(flight, vehicle: Vehicle) -> np.ndarray:
@@ -175,17 +200,17 @@ def thrust_elasticity(vehicle: Vehicle) -> float:
 
     It is kept to what propellers and batteries do: flights at one height show the thrust, not its slope.
     """
-    # F = (k u + bias) (1 - sag (u / reference - 1)):  e = k u / (k u + bias) - sag u / reference / (1 - ...)
+    # F = (k u + bias) s,  s = 1 - sag (u / reference - 1):
+    #   e = d log F / d log u = k u / (k u + bias) - sag (u / reference) / s
+    k, bias = vehicle.thrust_per_pwm, vehicle.effects_thrust_bias
+    sag, reference = vehicle.effects_battery_sag, vehicle.effects_battery_reference
     u = vehicle.hover_pwm
-    for _ in range(3):  # the command at which this is the weight
-        load = u / vehicle.effects_battery_reference
-        sag = 1.0 - vehicle.effects_battery_sag * (load - 1.0)
-        u = (vehicle.weight / max(sag, 0.1) - vehicle.effects_thrust_bias) / vehicle.thrust_per_pwm
-    line = vehicle.thrust_per_pwm * u
-    load = u / vehicle.effects_battery_reference
-    slope = line / (line + vehicle.effects_thrust_bias)
-    slope -= vehicle.effects_battery_sag * load / max(1.0 - vehicle.effects_battery_sag * (load - 1.0), 0.1)
-    return min(max(slope, 0.7), 1.4)
+    for _ in range(3):  # the command u at which F is the weight, where sag is a small correction
+        supply = 1.0 - sag * (u / reference - 1.0)
+        u = (vehicle.weight / max(supply, 0.1) - bias) / k
+    supply = 1.0 - sag * (u / reference - 1.0)
+    slope = k * u / (k * u + bias) - sag * (u / reference) / max(supply, 0.1)
+    return min(max(slope, LEAST_ELASTICITY), MOST_ELASTICITY)
 
 
 class _Measured(NamedTuple):
@@ -205,16 +230,16 @@ class _Measured(NamedTuple):
 
     @staticmethod
     def of(flight, vehicle: Vehicle) -> _Measured:
-        """Return a flight as the kernels take it, attitudes as the rotors were (`attitude_of`)."""
-        _, rotation, turning, first_attitude = flight.attitude_of(vehicle)
+        """Return a flight as the kernels take it, with the attitude of the rotors of `vehicle`."""
+        attitude = flight.attitude_of(vehicle)
         return _Measured(
             command=flight.command,
             position=flight.position,
             middle_position=flight.middle_position,
             velocity=flight.middle_velocity,
-            rotation=rotation,
-            turning=turning,
-            first_attitude=first_attitude,
+            rotation=attitude.rotation,
+            turning=attitude.rates_about_x,
+            first_attitude=attitude.first,
             ambient=flight.ambient,
             starts=flight.starts,
             rows=flight.rows,
@@ -226,23 +251,24 @@ class _Measured(NamedTuple):
 def _predict(measured, vehicles, own, same, begun, out):
     """Write the predicted pose (6, m) of every vehicle `own` (k,) into out (n, C, m).
 
-    same (2, k): whether its translation, and its loops, are those of the first of these. begun: `Starts` of
-    loads.
+    same (2, k): see `_Alike`. begun: `Starts` of loads. Results that the first vehicle, or the one before,
+    has in common with the next are kept in the variables of this function.
     """
     dt, steps, pose = measured.dt, measured.velocity.shape, slice(0, YAW_CHANNEL + 1)
     twist, first_twist, near = np.zeros(steps), np.zeros(steps), np.zeros(steps)
     pwm, lag, first_commands, first_yaw = np.empty(0), np.empty(0), np.empty((2, 0)), np.empty(0)
-    met, driven = 0, 0  # the vehicles that `near`, and `pwm` and `lag`, are of
+    of_near, of_lag = 0, 0  # vehicles for which `near`, and `pwm` and `lag`, were computed
     for k in range(len(own)):
         vehicle, predicted, first = vehicles[own[k] : own[k] + 1], out[own[k], pose], out[own[0], pose]
         v = vehicle[0]
+        # The translation, and the angular accelerations `twist` by the same wrench
         if k == 0 or not same[0, k]:
-            if k == 0 or not _same_ground(v, vehicles[own[met]]):
+            if k == 0 or not _same_ground(v, vehicles[own[of_near]]):
                 _ground(measured, v, near)
-                met = k
-            if k == 0 or not _same_lag(v, vehicles[own[driven]]):
+                of_near = k
+            if k == 0 or not _same_lag(v, vehicles[own[of_lag]]):
                 pwm, lag = _thrust_commands(measured, vehicle)
-                driven = k
+                of_lag = k
             acceleration = _accelerations(measured, v, near, pwm, lag, twist)
             if v.effects.load_mass != 0.0:
                 seen, starts, rows = measured.position, measured.starts, measured.rows
@@ -250,11 +276,12 @@ def _predict(measured, vehicles, own, same, begun, out):
             _translate(acceleration, v.environment.gravity, dt, predicted)
         else:
             predicted[:ROLL_CHANNEL], twist[:] = first[:ROLL_CHANNEL], first_twist
-        alike = k > 0 and same[1, k]
-        if alike and np.array_equal(twist, first_twist):
+        # The attitude, which these accelerations disturb
+        same_loops = k > 0 and same[1, k]
+        if same_loops and np.array_equal(twist, first_twist):
             predicted[ROLL_CHANNEL:] = first[ROLL_CHANNEL:]
             continue
-        if not alike:
+        if not same_loops:
             commands, yaw = _loop_commands(measured, v), _yaw(measured, vehicle)
         else:
             commands, yaw = first_commands, first_yaw
@@ -325,7 +352,9 @@ def _accelerations(measured, v, near, pwm, lag, twist):
     out, velocity, ambient = np.empty_like(measured.velocity), measured.velocity, measured.ambient
     for k in range(len(pwm)):
         r = entries(measured.rotation[k])
-        fx, fy, fz, tx, ty = wrench_near(near[k], velocity[k], r, lag[k], pwm[k], ambient[k], v, _NEUTRAL)
+        fx, fy, fz, tx, ty = wrench_near(
+            near[k], velocity[k], r, lag[k], pwm[k], ambient[k], v, _NO_PERTURBATION
+        )
         out[k, 0] = (r[0] * fx + r[1] * fy + r[2] * fz) / v.body.mass
         out[k, 1] = (r[3] * fx + r[4] * fy + r[5] * fz) / v.body.mass
         out[k, 2] = (r[6] * fx + r[7] * fy + r[8] * fz) / v.body.mass

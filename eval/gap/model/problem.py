@@ -183,12 +183,17 @@ class Problem(Candidates):
     def weights_without_each_flight(self) -> list[np.ndarray]:
         """Return for every flight the weights (g,) of the groups without it; of a single one, all 1.
 
-        Of few flights, without every second part of it: the others may not excite what it shows.
+        If there are few flights, only every second part of it is left out, because the others may not excite
+        what it shows.
         """
+        few = len(self.flights) < thresholds.FEW_FLIGHTS
         result = [np.ones(self.groups) for _ in self.flights]
-        for k, weights in enumerate(result if len(result) > 1 else ()):
-            own = np.unique(self.group_of[self.flight_of == k])
-            weights[own[1::2] if len(result) < thresholds.FEW_FLIGHTS else own] = 0.0
+        if len(self.flights) == 1:
+            return result
+        for k, weights in enumerate(result):
+            parts = np.unique(self.group_of[self.flight_of == k])
+            left_out = parts[1::2] if few else parts
+            weights[left_out] = 0.0
         return result
 
     def vehicle_prior(self, columns: Sequence[Column]) -> tuple[np.ndarray, np.ndarray]:
@@ -259,7 +264,7 @@ class Problem(Candidates):
         }
         others = {c.effect: without(values, c.effect) for c in columns if isinstance(c, FormColumn)}
         vehicles = [self.corrected(v) for v in (values, *others.values())]
-        vehicles += [moved for moved, _ in differences.values()]
+        vehicles += [one.vehicle for one in differences.values()]
         predicted = predictor(self.flights[0], vehicles)
 
         def of(flight: MeasuredFlight, form_jacobian: np.ndarray) -> np.ndarray:
@@ -276,7 +281,7 @@ class Problem(Candidates):
                     out[:] = column.along(here - rest[column.effect], flight)
                 else:  # finite difference: dp/dx = (p(x + h) - p(x)) / h
                     np.subtract(moved[column], here, out=out)
-                    out /= differences[column][1]
+                    out /= differences[column].step
             return result
 
         return of
@@ -296,41 +301,55 @@ class Problem(Candidates):
         return {}
 
     def _linearise(self, values: Values, columns: Sequence[Column]) -> Linearisation:
-        share = np.sqrt(self.weight / self.inflation)  # (w, C) weighted least squares
-        grams = np.zeros((self.groups, 1 + len(columns), 1 + len(columns)))  # [e, J]' [e, J]
+        # The Gram matrices [e, J]' [e, J] of the groups have c in their corner, b beside it, and a below.
+        grams = np.zeros((self.groups, 1 + len(columns), 1 + len(columns)))
         jacobian_of = self.jacobian(values, columns)
 
         def add(k: int) -> None:
-            """Add the windows of flight k to the Gram matrices of their groups."""
-            flight, own = self.flights[k], self.flight_of == k
-            stack = jacobian_of(flight, self.form_jacobians[k])
-            stack[0] = flight.measured - stack[0]  # [e, J]
-            of_windows, groups = flight.starts[:, None] + np.arange(flight.rows), self.group_of[own]
-            ends = [0, *(np.flatnonzero(np.diff(groups)) + 1), len(groups)]  # of the groups' windows
-            for channel, matrix in enumerate(flight.whitening.matrices):
-                series = stack[:, :, channel]
-                live = _live(series, of_the_pose=channel < len(CHANNELS))
-                windows = np.take(series[live], of_windows, axis=1)  # (live, w, rows)
-                white = (windows.reshape(-1, flight.rows) @ matrix.T).reshape(*windows.shape[:2], -1)
-                white *= share[own, channel, None]
-                for first, last in itertools.pairwise(ends):
-                    part = white[:, first:last].reshape(len(live), -1)
-                    grams[np.ix_([groups[first]], live, live)] += part @ part.T
+            stack = jacobian_of(self.flights[k], self.form_jacobians[k])
+            stack[0] = self.flights[k].measured - stack[0]  # [e, J]
+            self._add_to_grams(k, stack, grams)
 
-        two_at_a_time(add, range(len(self.flights)))
-        a, b, c = grams[:, 1:, 1:], grams[:, 1:, 0], grams[:, 0, 0]
+        two_at_a_time(add, range(len(self.flights)))  # no two flights are in one group
         flight_of = np.array([self.flight_of[self.group_of == g][0] for g in range(self.groups)])
-        return Linearisation(values, tuple(columns), a, b, c, flight_of)
+        return Linearisation(
+            values,
+            tuple(columns),
+            a=grams[:, 1:, 1:],
+            b=grams[:, 1:, 0],
+            c=grams[:, 0, 0],
+            flight_of=flight_of,
+        )
+
+    def _add_to_grams(self, k: int, stack: np.ndarray, grams: np.ndarray) -> None:
+        """Add the windows of flight k to the Gram matrices (g, 1 + P, 1 + P) of their groups.
+
+        stack (1 + P, m, C): its errors and Jacobian, of which each channel is whitened and weighted.
+        """
+        flight, own = self.flights[k], self.flight_of == k
+        share = np.sqrt(self.weight[own] / self.inflation)  # (w, C) weighted least squares
+        of_windows, groups = flight.starts[:, None] + np.arange(flight.rows), self.group_of[own]
+        ends = [0, *(np.flatnonzero(np.diff(groups)) + 1), len(groups)]  # of the groups' windows
+        for channel, matrix in enumerate(flight.whitening.matrices):
+            series = stack[:, :, channel]
+            live = _live(series, of_the_pose=channel < len(CHANNELS))
+            windows = np.take(series[live], of_windows, axis=1)  # (live, w, rows)
+            white = (windows.reshape(-1, flight.rows) @ matrix.T).reshape(*windows.shape[:2], -1)
+            white *= share[:, channel, None]
+            for first, last in itertools.pairwise(ends):
+                part = white[:, first:last].reshape(len(live), -1)
+                grams[np.ix_([groups[first]], live, live)] += part @ part.T
 
 
 def _live(series: np.ndarray, of_the_pose: bool) -> np.ndarray:
     """Return the indices of the series (n, m) in one channel that add to its Gram matrix.
 
-    A constant of the pose goes with the unknown start state; in the requests it is a moment, unless it is 0.
+    A series that is constant in time adds nothing to that of a pose, whose start state is projected out; in
+    the requests it is a moment, and only zeros add nothing.
     """
-    constant = series[:, :1] * of_the_pose
-    live = series[:, -1] != constant[:, 0]  # this decides for most
-    live[~live] = (series[~live] != constant[~live]).any(axis=1)
+    nothing = series[:, 0] if of_the_pose else np.zeros(len(series))
+    live = series[:, -1] != nothing  # the last row decides for most
+    live[~live] = (series[~live] != nothing[~live, None]).any(axis=1)
     return np.flatnonzero(live)
 
 
@@ -372,20 +391,22 @@ def identifiable_effects(
 ) -> tuple[dict[str, Effect], list[str]]:
     """Return the effects whose required log channels were logged and excited, and notes on the others."""
     kept, notes = {}, []
-    measured = any(f.thrust_is_measured for f in flights)
+    speeds_measured = any(f.thrust_is_measured for f in flights)
     requested = all(f.requests is not None for f in flights)
     for name, effect in library.items():
-        of_requests = "requests" in effect.channels
-        given = measured and effect.of_the_drive  # by the speeds of the rotors
-        like_others = not effect.identified and not of_requests  # flights show it as lags and gains of loops
-        # As in most logs; a note for each would hide the others.
-        not_logged = of_requests and effect.requires and not requested
-        if given or like_others or not_logged:
+        shows_in_requests = "requests" in effect.channels
+        if effect.of_the_drive and speeds_measured:  # the speeds of the rotors contain it
             continue
-        why = {_why_unidentifiable(channel, least, flights) for channel, least in effect.requires.items()}
-        if why := why - {""}:
+        if not effect.identified and not shows_in_requests:  # flights show it as lags and gains of the loops
+            continue
+        if (
+            shows_in_requests and effect.requires and not requested
+        ):  # as in most logs: one note for all, below
+            continue
+        reasons = [_why_unidentifiable(channel, least, flights) for channel, least in effect.requires.items()]
+        if any(reasons):
             others = ", ".join(effect.confused_with)
-            notes += [f"{reason}: {name} is confounded with {others}" for reason in sorted(why)]
+            notes += [f"{why}: {name} is confounded with {others}" for why in sorted({*reasons} - {""})]
         else:
             kept[name] = effect
     if not requested:

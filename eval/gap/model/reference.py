@@ -215,7 +215,7 @@ def posterior_path(path: Path) -> Path:
 
 
 def read_reference(path: Path | None, vehicle: Vehicle) -> tuple[VehiclePosterior, str]:
-    """Return the posterior of a vehicle file or shipped name, and a sentence where it is another vehicle's.
+    """Return the posterior of a vehicle file or shipped name, and a sentence if that next to it was ignored.
 
     Raises UserError for a posterior that is damaged.
     """
@@ -225,16 +225,14 @@ def read_reference(path: Path | None, vehicle: Vehicle) -> tuple[VehiclePosterio
     table = storage.read_json(file, "posterior")
     try:
         reference = VehiclePosterior.from_json(table)
-        if table["vehicle"] == digest(vehicle):
-            return reference.with_new_effects(vehicle), ""
     except (ValueError, ValidationError) as error:
         raise UserError(
             f"{file} is damaged ({error}); identify the vehicle again, or remove the file"
         ) from error
-    return (
-        VehiclePosterior.of_file(path, vehicle),
-        f"{file.name} belongs to a different vehicle than {path.name} and was ignored",
-    )
+    if table["vehicle"] == digest(vehicle):
+        return reference.with_new_effects(vehicle), ""
+    ignored = f"{file.name} belongs to a different vehicle than {path.name} and was ignored"
+    return VehiclePosterior.of_file(path, vehicle), ignored
 
 
 def _deviation(problem: Candidates, column: Column, vehicle_file: dict[str, Constant]) -> float:

@@ -295,7 +295,9 @@ def test_no_set_is_larger_than_the_largest(monkeypatch):
     monkeypatch.setattr(sets, "MOST_EFFECTS", 1)
     far = {"wind": {"wind": {"x": 2.0, "y": 0.0}}, "thrust_scale": {"thrust_scale": {"scale": 0.9}}}
     monkeypatch.setattr(
-        sets._Fits, "_far_starts", lambda _, values: {n: (far[n], 1.0) for n in library if n not in values}
+        sets._Fits,
+        "_far_starts",
+        lambda _, values: {n: sets._FarStart(far[n], 1.0) for n in library if n not in values},
     )
     logs = flights({"thrust_scale": {"scale": 0.88}}, seed=1, count=2, seconds=4.0)
     problem = Problem.of([prepare(log, VEHICLE) for log in logs], VEHICLE, library)
