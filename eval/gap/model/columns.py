@@ -415,8 +415,9 @@ def _form_column(name: str, contribution: np.ndarray, flight: MeasuredFlight) ->
         roll = own.start
         result[:, roll] = contribution[:, roll]
     elif what == "slope":  # of the requests over a torque about x or y, as the vehicle's slope is off
-        about_x_and_y = slice(own.start, own.stop - 1)
-        result[:, about_x_and_y] = contribution[:, about_x_and_y]
+        # The last three channels are the requests or, where these were not logged, roll, pitch and yaw: there
+        # it is an error of the moment's size.
+        result[:, -3:-1] = contribution[:, -3:-1]
     elif group == "translation":
         result[:, own] = _moved(np.diff(part, 2, axis=0), what, flight)
     else:
