@@ -88,7 +88,7 @@ def _damped_fit(
 ) -> tuple[LeastSquaresFit, float, float]:
     """Return the fit after a step that decreases the cost, this decrease, and the damping of the next step.
 
-    The fit stays as it is, with a decrease of 0, if no damping leads to such a step.
+    The fit is unchanged, with a decrease of 0, if no damping leads to such a step.
     """
 
     def penalty(at: Values) -> float:  # sum_k (x_k / width_k)^2

@@ -140,7 +140,7 @@ def _now_and_past(names: Sequence[str], times: Sequence[float]) -> list[str]:
 
 
 def _lagged(f: MeasuredFlight, values: np.ndarray, times: Sequence[float]) -> list[np.ndarray]:
-    """Return values (m, k) of a flight as they are, and as they were some times [s] ago."""
+    """Return values (m, k) of a flight now, and some times [s] ago."""
     rows = np.arange(f.samples)
     return [values[np.maximum(0, rows - round(t / f.dt))] for t in (0.0, *times)]
 

@@ -224,7 +224,7 @@ class _Fits:
     ) -> dict[EffectSet, _Prediction]:
         """Return the neighbours of a fitted set as its linearisation predicts them.
 
-        An effect that fits better from a distant start, added or in the place of what it is confused with, is
+        An effect that fits better from a distant start, added or instead of what it is confused with, is
         predicted to gain as much as there. known: predictions of other fits, which keep their distant starts.
         """
         result: dict[EffectSet, _Prediction] = {}

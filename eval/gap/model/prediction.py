@@ -98,7 +98,7 @@ def predictor(like, vehicles: Sequence[Vehicle]) -> Callable[[Any], np.ndarray]:
     # For speed alone: vehicles with the same correction of the measured attitude are predicted together.
     corrections = [(v.effects_mocap_tilt, v.effects_estimator_delay) for v in vehicles]
     groups = [
-        _Alike.of(vehicles, [k for k, one in enumerate(corrections) if one == correction])
+        _Group.of(vehicles, [k for k, one in enumerate(corrections) if one == correction])
         for correction in dict.fromkeys(corrections)
     ]
 
@@ -116,8 +116,8 @@ def predictor(like, vehicles: Sequence[Vehicle]) -> Callable[[Any], np.ndarray]:
     return along
 
 
-class _Alike(NamedTuple):
-    """Vehicles whose measured attitude is corrected alike, and what they share with the first of them."""
+class _Group(NamedTuple):
+    """Vehicles with one correction of the measured attitude, and what they share with the first of them."""
 
     own: np.ndarray  # (k,) their indices
     same: (
@@ -125,14 +125,14 @@ class _Alike(NamedTuple):
     )  # (2, k) bool: whether the constants of translation, and of attitude, are those of the first
 
     @staticmethod
-    def of(vehicles: Sequence[Vehicle], own: Sequence[int]) -> _Alike:
+    def of(vehicles: Sequence[Vehicle], own: Sequence[int]) -> _Group:
         """Return the vehicles `own`, compared with the first of these."""
         first = vehicles[own[0]]
         translation = [
             _constants_of_translation(vehicles[k]) == _constants_of_translation(first) for k in own
         ]
         attitude = [_constants_of_attitude(vehicles[k]) == _constants_of_attitude(first) for k in own]
-        return _Alike(np.array(own), np.array([translation, attitude]))
+        return _Group(np.array(own), np.array([translation, attitude]))
 
 
 def angle_integrals(flight, vehicle: Vehicle) -> np.ndarray:
@@ -251,7 +251,7 @@ class _Measured(NamedTuple):
 def _predict(measured, vehicles, own, same, begun, out):
     """Write the predicted pose (6, m) of every vehicle `own` (k,) into out (n, C, m).
 
-    same (2, k): see `_Alike`. begun: `Starts` of loads. Results that the first vehicle, or the one before,
+    same (2, k): see `_Group`. begun: `Starts` of loads. Results that the first vehicle, or the one before,
     has in common with the next are kept in the variables of this function.
     """
     dt, steps, pose = measured.dt, measured.velocity.shape, slice(0, YAW_CHANNEL + 1)
