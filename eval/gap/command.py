@@ -34,8 +34,9 @@ def command(
     began = time.monotonic()
     reading = begin_reading(source, reference)
 
-    # Meanwhile everything else is imported, figures and plants for later.
+    # Meanwhile everything else is imported, also what only functions import that are called later.
     import matplotlib.figure  # noqa: F401
+    import scipy.signal  # noqa: F401
 
     from inclined_landing.envs.shared import runs
     from inclined_landing.envs.shared.progress import stages

@@ -24,7 +24,9 @@ def command(source: Flat[FlightSource], out: RunFolder) -> None:
     began = time.monotonic()
     reading = begin_reading(source)
 
-    # Meanwhile everything else is imported.
+    # Meanwhile everything else is imported, also what only functions import that are called later.
+    import scipy.signal  # noqa: F401
+
     from inclined_landing.envs.shared import runs
     from inclined_landing.envs.shared.progress import stages
     from inclined_landing.eval.gap.answer.identification import identify

@@ -54,8 +54,6 @@ def begin_reading(source: FlightSource, reference: Sequence[str] = ()) -> Callab
 
     Meanwhile this process may import what comes next.
     """
-    import scipy.signal  # noqa: F401  (here, as otherwise both processes would import it)
-
     read = functools.partial(read_flights, **source.options())
     return in_fork(read, source.files, source.heldout, reference, ticks=True)
 
