@@ -2,9 +2,11 @@
 
 from __future__ import annotations
 
+import dataclasses
 import itertools
 import math
 from collections.abc import Mapping, Sequence
+from concurrent.futures import ThreadPoolExecutor
 
 import numpy as np
 from msgspec import structs
@@ -86,8 +88,10 @@ def diagnose(
 
     # How wrong is the vehicle before and after its correction by them, and does anything else repeat?
     correction = selection.corrected(found, values)
-    ahead = selection.open_loop_errors(found, correction, use.judged, values, plants)
-    residual = analyse_residual(found, correction.vehicle, ahead.error)
+    with ThreadPoolExecutor(1) as beside:  # which computes the one while MuJoCo flies for the other
+        analysis = beside.submit(analyse_residual, found, correction.vehicle)
+        ahead = selection.open_loop_errors(found, correction, use.judged, values, plants)
+    residual = dataclasses.replace(analysis.result(), error=ahead.error)
     known = reference.errors if reference else None
     least_cost = cost_beyond_doubt(residual, ahead.gap.get("analytic"), known)
     effects = named_effects(found, values, ahead.named, least_cost)

@@ -13,7 +13,6 @@ from __future__ import annotations
 import dataclasses
 import functools
 import itertools
-import math
 from collections.abc import Callable, Mapping, Sequence
 from typing import NamedTuple
 
@@ -192,10 +191,10 @@ class _RidgeRegression:
         return gain, predicted
 
 
-def analyse_residual(found: SetPosterior, vehicle: Vehicle, error: float = math.nan) -> ResidualAnalysis:
+def analyse_residual(found: SetPosterior, vehicle: Vehicle) -> ResidualAnalysis:
     """Return the residual's size by channel and its significant functions, given the most probable set.
 
-    vehicle: the corrected one. error: its position error [m] one second ahead; NaN: not known.
+    vehicle: the corrected one.
     """
     problem = found.problem
     residual = white_residuals(problem, found.local, found.names)
@@ -217,7 +216,7 @@ def analyse_residual(found: SetPosterior, vehicle: Vehicle, error: float = math.
         if scores[k, 0] >= threshold and f.target not in depends and f.gain > 0.0:
             score = float(scores[k, 0])
             depends[f.target] = _dependence(problem, f, bases[f.on], inputs[f.on], residual, vehicle, score)
-    return ResidualAnalysis(p_value, size, depends_on=tuple(depends.values()), error=error)
+    return ResidualAnalysis(p_value, size, depends_on=tuple(depends.values()))
 
 
 def _sizes_beyond_noise(problem: Problem, white: Sequence[np.ndarray]) -> dict[str, float]:
