@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import dataclasses
 import functools
+import re
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from pathlib import Path
 from typing import Any, NamedTuple
@@ -137,14 +138,16 @@ def usable_flights(
 ) -> UsableFlights:
     """Return the flights that can be used, and the others, each with the reason why not.
 
+    Both are in the order of their names, whatever order they are given in: bootstrap samples are drawn by
+    place, and the answer is to follow from the flights alone.
     platform: the slab of the vehicle file stands in the arena; None: where a log has contacts.
     Copies and parts of a flight count once. Raises UserError when none can be used, of those to fit or of
     those held out, and when a held-out flight is fitted.
     """
     if platform is None:
         platform = any(log.contact is not None and log.contact.any() for log in as_logs(flights))
-    to_fit, aside = set_aside(as_logs(flights), vehicle, platform)
-    to_judge, aside_held_out = set_aside(as_logs(heldout), vehicle, platform)
+    to_fit, aside = set_aside(sorted(as_logs(flights), key=_by_name), vehicle, platform)
+    to_judge, aside_held_out = set_aside(sorted(as_logs(heldout), key=_by_name), vehicle, platform)
     once = distinct(to_fit, to_judge)
     fitted, notes = prepare_all(once.logs, vehicle, platform)
     judged, notes_held_out = prepare_all(once.heldout, vehicle, platform) if once.heldout else ([], ())
@@ -157,6 +160,11 @@ def usable_flights(
         notes=(*notes, *notes_held_out, *once.notes),
         platform=platform,
     )
+
+
+def _by_name(log: FlightLog) -> list[str | int]:
+    """Return what flights are ordered by: their names, in which numbers count as such (2 before 10)."""
+    return [int(part) if part.isdecimal() else part for part in re.split(r"(\d+)", log.name)]
 
 
 def set_aside(

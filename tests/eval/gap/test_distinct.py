@@ -9,9 +9,16 @@ import numpy as np
 import pandas
 import pytest
 
-from inclined_landing.eval.gap.measured.usable import check_unused, distinct, fingerprint, read_flights
+from inclined_landing.eval.gap.measured.usable import (
+    check_unused,
+    distinct,
+    fingerprint,
+    read_flights,
+    usable_flights,
+)
 from inclined_landing.eval.logs import write_log
 from inclined_landing.models.base.errors import UserError
+from inclined_landing.models.parameters import load_vehicle
 from tests.eval.logs.test_checks import flight
 
 
@@ -52,6 +59,16 @@ def test_of_flights_that_overlap_each_row_counts_once():
     # What a cut-out of the fitted flight does not have may be held out.
     (fitted,), (rest,), _, _ = distinct([first], [FLIGHT])
     assert len(fitted) == 801 and rest.t[0] > 8.0
+
+
+def test_the_order_in_which_flights_are_given_changes_nothing():
+    """Samples of the flights are drawn by their place, and of copies the first one counts."""
+    logs = [named(flight(k), f"flight {k}") for k in (10, 2, 1)]
+    logs.append(named(logs[0], "flight 11"))  # a copy of flight 10
+    for given in (logs, logs[::-1]):
+        usable = usable_flights(given, [], load_vehicle(), None)
+        assert [f.name for f in usable.fitted] == ["flight 1", "flight 2", "flight 10"]
+        assert [one.flight for one in usable.set_aside] == ["flight 11"]
 
 
 def test_flights_that_rest_at_one_place_are_two():
