@@ -309,7 +309,7 @@ def scored_sets(found: SetPosterior) -> tuple[ScoredSet, ...]:
 def unidentifiable_sets(found: SetPosterior) -> tuple[ScoredSet, ...]:
     """Return the most probable set extended by each effect that the flights do not excite.
 
-    Such an effect keeps its prior odds and a plausible size.
+    Such an effect keeps its prior odds and a plausible size. Its first parameter stands for it.
     """
     problem, local, best = found.problem, found.local, found.sets[0]
     share = prior_share(len(problem.library))

@@ -34,7 +34,22 @@ from inclined_landing.eval.gap.result import HORIZON
 from inclined_landing.eval.logs import FlightLog
 from inclined_landing.eval.logs.log import as_logs
 from inclined_landing.models import equations, forces
-from inclined_landing.models.attitude import LAG, PITCH, ROLL, STATE_SIZE, VX, WX, WY, WZ, body_rates, tilted
+from inclined_landing.models.attitude import (
+    LAG,
+    PITCH,
+    ROLL,
+    STATE_SIZE,
+    VX,
+    WX,
+    WY,
+    WZ,
+    YAW,
+    X,
+    Y,
+    Z,
+    body_rates,
+    tilted,
+)
 from inclined_landing.models.base.errors import UserError
 from inclined_landing.models.load import UNLOADED, hanging
 from inclined_landing.models.parameters import as_vehicle
@@ -44,6 +59,8 @@ from inclined_landing.models.vehicle import Vehicle
 EVERY = 1.0  # s between the starts of two windows
 LARGEST_STEP = 0.004  # s at most
 CLEAR_HEIGHT = 50.0  # m, at which no surface is near
+POSITION, TILT, HEADING = range(3)  # of `pose_errors`
+_POSE = [X, Y, Z, ROLL, PITCH, YAW]  # of a state
 ANGLE_SMOOTHING = 0.05  # s to either side, for start attitudes and their rates
 
 
@@ -261,9 +278,6 @@ def _thrust_scales(ambient, lag, vehicle):
     return out
 
 
-_POSE = [0, 1, 2, 6, 7, 8]
-
-
 def position_error(simulated: np.ndarray, measured: np.ndarray) -> np.ndarray:
     """Return the root mean square distance (rows,) [m] over windows, after every step."""
     return np.sqrt(((simulated[..., :3] - measured[..., :3])[:, 1:] ** 2).sum(axis=2).mean(axis=0))
@@ -321,10 +335,10 @@ def errors_by_flight(
 
 
 def pose_errors(starts: RolloutWindows, vehicles: Sequence[Vehicle]) -> np.ndarray:
-    """Return the errors (3,) of position [m], tilt and heading [rad] at the end, with a vehicle a flight."""
+    """Return the errors (3,) at the end, with a vehicle a flight: POSITION [m], TILT and HEADING [rad]."""
     # (n, 6) of every flight
     errors = [(simulate(part, own) - part.measured())[:, -1] for part, own in starts.by_flight(vehicles)]
-    squares = (np.concatenate(errors) ** 2).mean(axis=0)
+    squares = (np.concatenate(errors) ** 2).mean(axis=0)  # of x, y, z, roll, pitch, yaw
     return np.sqrt([squares[:3].sum(), squares[3:5].sum(), squares[5]])
 
 

@@ -215,7 +215,7 @@ def firm_names(found: SetPosterior, values: Values) -> set[str]:
 
 
 def judged_by(effect: Effect, values: Mapping[str, float]) -> list[int]:
-    """Return which of position, tilt and heading (0, 1, 2) an effect acts on, the first being the main one.
+    """Return which of POSITION, TILT and HEADING (`rollout`) an effect acts on, the main one first.
 
     There is none for an effect that acts on the motors' requests alone, and for a moment that the loops take
     over within the second ahead: it takes up some of the range of control, and changes the motion little.
@@ -223,8 +223,12 @@ def judged_by(effect: Effect, values: Mapping[str, float]) -> list[int]:
     hold = [values.get(p.name, 0.0) for p in effect.parameters if p.fields == ("effects_attitude_hold",)]
     if hold and hold[0] * HORIZON > 1.0:
         return []
-    acts = ({"translation", "attitude"}, {"attitude"}, {"yaw"})
-    return [k for k, channels in enumerate(acts) if channels & set(effect.channels)]
+    by_channel = {
+        rollout.POSITION: {"translation", "attitude"},
+        rollout.TILT: {"attitude"},
+        rollout.HEADING: {"yaw"},
+    }
+    return [error for error, channels in by_channel.items() if channels & set(effect.channels)]
 
 
 def _shows_ahead(found: SetPosterior, values: FittedValues, name: str) -> bool:
@@ -305,7 +309,7 @@ def corrected(found: SetPosterior, values: FittedValues) -> Refit:
         left_out=leave_one_out_modes(problem, local, names),
         half_widths=field_half_widths(problem.vehicle, problem.corrected(again), moved),
     )
-    return min(named_alone, all_again, key=lambda fit: fit.pose_errors[0])  # of the position
+    return min(named_alone, all_again, key=lambda fit: fit.pose_errors[rollout.POSITION])
 
 
 def regime_errors(correction: Refit, heldout: Sequence[MeasuredFlight]) -> tuple[RegimeError, ...]:

@@ -69,23 +69,29 @@ SCATTER = {
 }
 OF_OTHERS = Scatter(0.5, 0.3)  # of effects of other libraries: as wide as those of the spring
 
-# Effect -> what, under another law, looked like it, for sizes within these ends, in plausible sizes. Feet
-# that rebound or give way under one law are rougher or shorter ones under another. Stiffer feet raise the
-# vehicle by at most the 1.6 mm by which its weight compresses them; feet longer by more cannot be confused
-# with stiff ones.
-_ALL = (-math.inf, math.inf)
-LOOKS_LIKE: dict[str, tuple[tuple[float, float], tuple[str, ...]]] = {
-    "friction": ((0.0, math.inf), ("contact_damping", "contact_stiffness")),
-    "contact_damping": (_ALL, ("contact_stiffness", "friction")),
-    "contact_stiffness": (_ALL, ("contact_damping", "foot_height", "friction")),
-    "foot_height": ((-1.1, 0.6), ("contact_stiffness",)),
+class Lookalikes(NamedTuple):
+    """Effects that, under another law, looked like an effect whose size is within some ends."""
+
+    effects: tuple[str, ...] = ()
+    low: float = -math.inf  # in plausible sizes
+    high: float = math.inf
+
+
+# Feet that rebound or give way under one law are rougher or shorter ones under another. Stiffer feet raise
+# the vehicle by at most the 1.6 mm by which its weight compresses them; feet longer by more cannot be
+# confused with stiff ones.
+LOOKS_LIKE = {
+    "friction": Lookalikes(("contact_damping", "contact_stiffness"), low=0.0),
+    "contact_damping": Lookalikes(("contact_stiffness", "friction")),
+    "contact_stiffness": Lookalikes(("contact_damping", "foot_height", "friction")),
+    "foot_height": Lookalikes(("contact_stiffness",), low=-1.1, high=0.6),
 }
 
 
 def look_alike(name: str, size: float) -> tuple[str, ...]:
     """Return the effects that under another law look like `name`, of a size in plausible sizes."""
-    (low, high), others = LOOKS_LIKE.get(name, (_ALL, ()))
-    return others if low < size < high else ()
+    known = LOOKS_LIKE.get(name, Lookalikes())
+    return known.effects if known.low < size < known.high else ()
 
 
 @dataclasses.dataclass(frozen=True)

@@ -40,6 +40,9 @@ BETWEEN = 0.35  # least between-flight standard deviation, in negligible sizes: 
 LARGE = 4.0  # slab widths of the second, wider component of the slab: sizes have heavy tails
 LARGE_ODDS = 0.25  # of that component to the first: weights 1/5 and 4/5
 LARGE_BEYOND = 2.0  # slab widths: a size below is never more probable by the wider component
+# Of the flights, always the same. A sample lacks what only few flights show: 11 % have neither of the two in
+# ten that are near the ground in the bundled example. The ground effect's probability is 0.91 by 400 samples
+# there, and by 24 has a standard deviation of 0.08 between draws.
 BOOTSTRAP_SAMPLES = 24
 ACTIVE_SET_ROUNDS = 4  # of the mode of a truncated normal distribution
 # Largest standard deviation of the spike, in those of the slab: the slab less the spike must be a covariance.
@@ -396,6 +399,7 @@ class LinearGaussian:
         result = {}
         fitted = [c.key for c in self.columns if c.effect in names and isinstance(c, ParameterColumn)]
         for name, parameter in dict.fromkeys(fitted):
+            # One column or, of an effect about a reference, two, of which the size is the sum
             k = [i for i, c in enumerate(self.columns) if c.key == (name, parameter)]
             square = variance[k[0]] if len(k) == 1 else covariance[np.ix_(k, k)].sum()
             p = self.candidates.parameter(self.columns[k[0]])

@@ -39,6 +39,7 @@ TARGETS = (*CHANNELS, "forward", "left")
 FEATURES = 24  # random Fourier features of a function
 KNOTS = 7  # radial basis functions along every input
 TIME_SPACING = 0.5  # s between those along the flight time
+FARTHEST = 4.0  # standard deviations from the mean: inputs further off count as these
 TIME = "flight time"
 # One-parameter functions of single inputs, each along the target that it should not act on.
 LINEAR = {"roll command": "pitch", "pitch command": "roll"}
@@ -79,7 +80,7 @@ class Basis:
     def __call__(self, x: np.ndarray) -> np.ndarray:
         """Return the features (m, D) of inputs (m, k)."""
         # Radial: exp(-(z - knot)^2 / (2 width^2));  Fourier: sqrt(2 / D) cos(w'z + phase), w ~ N(0, 1 / k)
-        z = np.clip((x - self.centre) / self.scale, -4.0, 4.0)
+        z = np.clip((x - self.centre) / self.scale, -FARTHEST, FARTHEST)
         parts = [] if self.knots else [z]
         for column, knots in zip(z.T, self.knots):
             width = max(float(np.ptp(knots)) / (len(knots) - 1), 1e-6)

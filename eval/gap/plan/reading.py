@@ -10,6 +10,7 @@ from typing import Annotated, Any
 import numpy as np
 from msgspec import Meta, Struct, structs
 
+from inclined_landing.eval.gap.model.prediction import CHANNELS
 from inclined_landing.eval.gap.model.reference import VehiclePosterior, read_reference
 from inclined_landing.eval.gap.plan.information import NoiseLevels
 from inclined_landing.eval.gap.result import REFERENCE, VERSION, Diagnosis, ScoredSet, marginal
@@ -22,7 +23,6 @@ from inclined_landing.models.vehicle import Vehicle
 ROOM = (  # fields of a vehicle file that say where it flies
     "arena_x arena_y arena_z platform_width platform_depth platform_inclination platform_surface_height"
 ).split()
-CHANNELS = ("x", "y", "z", "roll", "pitch", "yaw")
 Positive = Annotated[float, Meta(ge=1e-9, le=1e300)]
 
 

@@ -12,7 +12,7 @@ import time
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 from types import MappingProxyType
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
 
@@ -102,8 +102,9 @@ def effect_table(d: Diagnosis) -> Table:
     rows = []
     for one in words.answers(d):
         last = (one.how, one.cost)
-        for parameter, number, ends in one.sizes:
-            rows.append((one.title + f", {parameter}" * bool(parameter), number, ends, *last))
+        for size in one.sizes:
+            named = one.title + f", {size.parameter}" * bool(size.parameter)
+            rows.append((named, size.value, size.interval, *last))
             last = ("", "")
     return Table("", ("effect", "size", "95 % interval", "confidence", "error after 1 s"), rows, 1)
 
@@ -307,13 +308,14 @@ def draw_growth(axis: Axes, d: Diagnosis) -> None:
     middle = (BETWEEN[k % len(BETWEEN)] for k in range(len(errors) - 2))
     colours = [BEFORE, *middle, AFTER][: len(errors)]
     ends = []
-    for k, ((name, error), colour) in enumerate(zip(errors.items(), colours)):
+    for k, (name, colour) in enumerate(zip(errors, colours)):
+        error = errors[name]
         axis.plot(horizon, 100 * error, color=colour, linewidth=2.2, zorder=3 + k)
         text = f"+ {name.replace('_', ' ')}" if name else "model before"
-        ends.append((100 * error[-1], f"{text}  {words.centimetres(error[-1])}", colour))
+        ends.append(_CurveEnd(100 * error[-1], f"{text}  {words.centimetres(error[-1])}", colour))
     axis.plot(horizon, 100 * floor, color=INK, linewidth=1.3, linestyle=(0, (1, 1.6)), zorder=3)
     axis.fill_between(horizon, 0, 100 * floor, color=RULE, alpha=0.6, linewidth=0)
-    ends.append((100 * floor[-1], f"noise alone  {words.centimetres(floor[-1])}", INK))
+    ends.append(_CurveEnd(100 * floor[-1], f"noise alone  {words.centimetres(floor[-1])}", INK))
     if engine := d.gap.get("mujoco"):
         look: dict[str, Any] = {"color": "white", "markeredgewidth": 1.6, "markersize": 5.5}
         look |= {"zorder": 20, "clip_on": False}
@@ -321,33 +323,41 @@ def draw_growth(axis: Axes, d: Diagnosis) -> None:
         axis.plot(engine.horizon, 100 * engine.before, "D", markeredgecolor=BEFORE, label=text, **look)
         axis.plot(engine.horizon, 100 * engine.after, "D", markeredgecolor=AFTER, **look)
         axis.legend(loc="upper left", handletextpad=0.2)
-    top = 1.06 * max(value for value, *_ in ends)
+    top = 1.06 * max(end.height for end in ends)
     axis.set(xlim=(0, horizon[-1]), ylim=(0, top), xlabel="horizon [s]", ylabel="position error [cm, RMS]")
     axis.grid(axis="y")
     _name_ends(axis, ends, top)
 
 
-def _name_ends(axis: Axes, ends, top: float) -> None:
+class _CurveEnd(NamedTuple):
+    """The right end of a curve, and its name."""
+
+    height: float
+    text: str
+    colour: str
+
+
+def _name_ends(axis: Axes, ends: Sequence[_CurveEnd], top: float) -> None:
     """Write names right of the axes at the height of their curves, without overlaps."""
     figure = axis.get_figure(root=True)
     assert figure is not None
-    least = 0.17 / (axis.get_position().height * figure.get_figheight()) * top
-    ends = sorted(ends, key=lambda end: end[0])
-    heights = [value for value, *_ in ends]
+    least = 0.17 / (axis.get_position().height * figure.get_figheight()) * top  # a line of text is 0.17 in
+    ends = sorted(ends, key=lambda end: end.height)
+    heights = [end.height for end in ends]
     for k in range(1, len(heights)):
         heights[k] = max(heights[k], heights[k - 1] + least)
     beside = axis.get_yaxis_transform()
-    for height, (value, text, colour) in zip(heights, ends):
-        arrow = {"arrowstyle": "-", "color": colour, "linewidth": 0.7, "shrinkA": 1, "shrinkB": 0}
+    for height, end in zip(heights, ends):
+        arrow = {"arrowstyle": "-", "color": end.colour, "linewidth": 0.7, "shrinkA": 1, "shrinkB": 0}
         axis.annotate(
-            text,
-            xy=(1.0, value),
+            end.text,
+            xy=(1.0, end.height),
             xytext=(1.035, height),
             xycoords=beside,
             textcoords=beside,
             arrowprops=arrow | {"relpos": (0, 0.5)},
             fontsize=8.5,
-            color=colour,
+            color=end.colour,
             va="center",
         )
 

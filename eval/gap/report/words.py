@@ -5,6 +5,7 @@ from __future__ import annotations
 import dataclasses
 import math
 from collections.abc import Iterable, Mapping, Sequence
+from typing import NamedTuple
 
 from inclined_landing.eval.gap import thresholds
 from inclined_landing.eval.gap.result import (
@@ -86,11 +87,19 @@ def measured_by(effect: NamedEffect) -> dict[str, Estimate]:
     return {"ratio": p}
 
 
-def size_rows(effect: NamedEffect) -> tuple[tuple[str, str, str], ...]:
-    """Return parameter ("" for one alone), value and 95 % interval of the sizes of an equivalence class."""
+class SizeRow(NamedTuple):
+    """A size of an effect as words."""
+
+    parameter: str  # "" for one alone
+    value: str
+    interval: str  # of 95 %
+
+
+def size_rows(effect: NamedEffect) -> tuple[SizeRow, ...]:
+    """Return the sizes of an equivalence class."""
     shown = {name: p for name, p in measured_by(effect).items() if p.is_shown}
     return tuple(
-        (label(name) if len(shown) > 1 else "", value(p), interval(p.ci95, p.unit))
+        SizeRow(label(name) if len(shown) > 1 else "", value(p), interval(p.ci95, p.unit))
         for name, p in shown.items()
     )
 
@@ -262,7 +271,7 @@ class Answer:
 
     title: str
     how: str  # sure or possible, with the probability
-    sizes: tuple[tuple[str, str, str], ...]  # parameter ("" for one alone), value, 95 % interval
+    sizes: tuple[SizeRow, ...]
     cost: str  # position error one second ahead; "" where it was not measured
     remedy: str
     says: str  # the physical meaning, a sentence
@@ -282,7 +291,7 @@ def answers(d: Diagnosis) -> list[Answer]:
             Answer(
                 title=f"unknown, {axis(one)}: depends on {one.on}",
                 how="repeats on held-out flights",
-                sizes=(("displacement in 1 s", size, ends),),
+                sizes=(SizeRow("displacement in 1 s", size, ends),),
                 cost=centimetres(one.displacement),
                 remedy=f"More flights that vary {one.on} would show it.",
                 says=f"An error {axis(one)} depends on {one.on}.",
@@ -310,9 +319,9 @@ def _undecided(d: Diagnosis, name: str) -> Answer:
         sizes[p.name] = value, rounded(value, (value - half, value + half), p.unit)
         if not p.is_reference:
             ends = interval((value - half, value + half), p.unit) if math.isfinite(half) else ""
-            rows.append((label(p.name), sizes[p.name][1], ends))
+            rows.append(SizeRow(label(p.name), sizes[p.name][1], ends))
     how, says = f"undecided, {probability(d.probability(name))}", said(name, sizes)
-    rows = rows if len(rows) > 1 else [("", *rows[0][1:])]
+    rows = rows if len(rows) > 1 else [rows[0]._replace(parameter="")]
     return Answer(label(name), how, tuple(rows), "", effect.remedy, f"Possibly, {says}.")
 
 

@@ -538,14 +538,14 @@ def test_flights_that_crash_are_set_aside_by_name(matched):
     ]
     untouched = [dataclasses.replace(log, contact=np.zeros(len(log), bool)) for log in matched[:2]]
     use = usable_flights([*crashed, *untouched], [crashed[0], matched[3]], VEHICLE, True)
-    assert [one.flight for one in use.set_aside] == ["over", "falls", "beside", "over"]
-    over, falls, beside, _ = (one.reason for one in use.set_aside)
+    assert [one.flight for one in use.set_aside] == ["beside", "falls", "over", "over"]  # by name
+    beside, falls, over, _ = (one.reason for one in use.set_aside)
     assert re.match(r"the vehicle turns over 7\.\d s into the log\.", over)
     assert re.match(r"the vehicle hits something at [34]\.\d m/s, 7\.\d s into", falls)
     assert re.match(r"the vehicle touches something [01]\.\d m from slab and floor, 7", beside)
     assert [f.name for f in use.fitted] == [log.name for log in untouched]
     assert [f.name for f in use.judged] == [matched[3].name]
-    with pytest.raises(UserError, match="over: the vehicle turns over"):
+    with pytest.raises(UserError, match="beside: the vehicle touches something"):
         usable_flights(crashed, [], VEHICLE, True)
 
 
