@@ -69,6 +69,7 @@ SCATTER = {
 }
 OF_OTHERS = Scatter(0.5, 0.3)  # of effects of other libraries: as wide as those of the spring
 
+
 class Lookalikes(NamedTuple):
     """Effects that, under another law, looked like an effect whose size is within some ends."""
 
