@@ -10,8 +10,7 @@ from inclined_landing.train.config import TrainConfig
 from inclined_landing.train.curriculum import Curriculum
 
 COMPLETE = 1.0 - 1e-9  # level of a curriculum that is complete
-# Evaluations at the lowest learning rate of which the second half is better than the first by less than this
-# share rise no more.
+# Plateau: the mean of the second half of PATIENCE evaluations exceeds that of the first by less than RISING.
 PATIENCE, RISING = 4, 0.01
 
 

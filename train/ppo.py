@@ -24,10 +24,11 @@ from inclined_landing.train.config import NET_ARCH, TrainConfig
 from inclined_landing.train.curriculum import initial_gamma
 from inclined_landing.train.fast.ppo import FastPPO
 
-# Bytes, measured: a sample with its copies; of each past step in it seven numbers, in the buffer and its
-# copies; a vehicle with engine and records.
+# Measured memory in bytes: a sample and its copies, each past step that is part of a sample, and a vehicle
+# with its engine data and records.
 _SAMPLE, _PAST, _VEHICLE = 100, 80, 20_000
-_FEW = 256  # environments of which one thread flies those in the engine, 3 of 128 on average
+# Up to this many environments one engine thread suffices: on average 3 of 128 vehicles are near a surface.
+_FEW = 256
 _FROM_TRAINING = ("rollout", "batch_size", "epochs", "learning_rate", "gamma", "gae_lambda", "log_std_init")
 
 
@@ -49,8 +50,7 @@ def training_environment(config: TrainConfig) -> BatchVecEnv:
     task = build_task(config)
     options: dict[str, Any] = {"keep_out": task.training.keep_out if task.has_platform else 0.0}
     if config.plant != "analytic":
-        # Where contact ends an episode few vehicles at a time are in the engine, so one thread is enough; 0
-        # threads are those of all cores.
+        # If contact ends the episode, few vehicles are near a surface at a time. 0 threads: all cores.
         few = config.plant == "hybrid" and options["keep_out"] > 0.0 and config.environments <= _FEW
         options |= {"integrator": task.training.integrator, "threads": config.threads or (1 if few else 0)}
     nominal = None

@@ -41,18 +41,20 @@ from inclined_landing.train.descent import Descent
 
 CRITIC_FIRST = 65_536  # environment steps in which the actor is left alone
 CUT_HEIGHT = 0.08  # m over the surface, of the centre of mass
-_IDLE = IDLE_ACTION - 0.4  # taught for idle: far enough from IDLE_ACTION to remain below it under noise
-_LOWEST = IDLE_ACTION + 0.05  # and what the landing policy's lowest thrust becomes, as -1 would be idle
-_ROUNDS, _STEPS, _EPOCHS, _BATCH = 4, 200, 15, 1024
-_ROUNDS_OF_LAW = 8
-_RATE, _NOISE = 1e-3, 0.2
+_IDLE = IDLE_ACTION - 0.4  # imitated idle action: remains below IDLE_ACTION under exploration noise
+_LOWEST = IDLE_ACTION + 0.05  # lower clip of the imitated thrust action; -1 commands idle
+# DAgger: rounds (a law needs more than a policy, whose weights are taken over), control steps of a vehicle in
+# each, passes over all states so far, minibatch, Adam's learning rate, standard deviation of the noise
+# on the actions.
+_ROUNDS, _ROUNDS_OF_LAW = 4, 8
+_STEPS, _EPOCHS, _BATCH, _RATE, _NOISE = 200, 15, 1024, 1e-3, 0.2
 
 
 def teacher(name: str, task: Task, vehicle: Vehicle | None) -> Policy | Descent:
-    """Return the policy to start from: one for `task`, or for the task with whose policy its training starts.
+    """Return the policy to start from, of `task` or of the task whose policy its training starts with.
 
-    name: a file or a shipped policy, or `DESCENT` for the law; vehicle: that of the run, if it is not the
-    shipped one. Raises UserError for any other policy.
+    name: a file or a shipped policy, or `DESCENT` for the law. vehicle: the run's; None for the shipped one.
+    Raises UserError for any other policy.
     """
     if name == DESCENT:
         if not (isinstance(task, InclinedTouchdown) and not task.is_planar):
@@ -60,7 +62,7 @@ def teacher(name: str, task: Task, vehicle: Vehicle | None) -> Policy | Descent:
         return Descent(task)
     usual = task.training.start_from
     if usual == DESCENT:
-        usual = FOR_PLANE  # in the law's place any policy of this task
+        usual = FOR_PLANE  # instead of the law, policies of the same task are accepted
     wanted = trained_task(usual) if usual and trained_task(name) != task.name else task.name
     return load_policy(name, wanted, vehicle=vehicle, inclination=task.options.get("inclination"))
 
@@ -188,7 +190,7 @@ def lesson(context: StepContext, landing: Policy, observation: np.ndarray | None
 
 
 def teach(model: PPO, env: BatchEnv, teacher: Policy | Descent, seed: int) -> None:
-    """Teach what a task needs beyond the teacher's weights: for touchdown the motor cut, or the law."""
+    """Teach what the teacher's weights do not contain: a touchdown's motor cut, or the whole law."""
     if isinstance(teacher, Descent):
         teach_law(model, env, lambda context, _: teacher(context, _IDLE), seed, _ROUNDS_OF_LAW)
     elif isinstance(env.task, InclinedTouchdown) and teacher.task.name != env.task.name:

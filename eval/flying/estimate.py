@@ -28,10 +28,10 @@ from inclined_landing.models.vehicle import Vehicle
 # interval between the two poses. A larger jump than their product, 12 cm, is a measurement error.
 IMPACT, IMPACT_TIME = 4.0, 0.03
 _NODES, _WEIGHTS = np.polynomial.legendre.leggauss(5)
-RESTART = 5.0  # s: clocks this far apart mean that the vehicle's began anew, as its 24 bits do after 4.7 h
-HEADING_TIME = 0.5  # s in which the heading follows motion capture: gyroscopes drift over minutes
-LONGEST_STEP = 0.06  # s, three control periods: what acted in a longer one, nobody measured
-TIME_CONSTANT = 2.5  # s: an acceleration of 0.8 m/s2 that leads nowhere, a lean of 5 deg, is then 2 m/s
+RESTART = 5.0  # s: a larger difference of clocks is a restart, such as the vehicle's overflow after 4.7 h
+HEADING_TIME = 0.5  # s, time constant of the heading's correction: gyroscopes drift over minutes
+LONGEST_STEP = 0.06  # s, longest prediction step, three control periods; inputs are unknown beyond
+TIME_CONSTANT = 2.5  # s: a false acceleration of 0.8 m/s2, a tilt error of 5 deg, then gives 2 m/s at most
 
 
 @dataclasses.dataclass(frozen=True)

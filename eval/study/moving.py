@@ -29,9 +29,9 @@ from inclined_landing.models.plants import MujocoPlant
 from inclined_landing.models.plants.recorder import STEP
 from inclined_landing.models.vehicle import Vehicle
 
-ANGLE_LIMIT = math.radians(55.0)  # of attitude commands: 50 deg of slope and some to steer with
-# At rest is who stands on the feet alone, motors idle, slower than these relative to the platform, for HOLD,
-# WITHIN the start.
+ANGLE_LIMIT = math.radians(55.0)  # of attitude commands: slopes of up to 50 deg, and 5 deg for control
+# A vehicle is at rest if it stands on its feet alone, with idle motors, and stays slower than SPEED and RATE
+# relative to the platform for HOLD. A flight lasts at most WITHIN.
 SPEED, RATE, HOLD, WITHIN = 0.05, 1.0, 0.3, 10.0  # m/s, rad/s, s, s
 MakePilot: TypeAlias = Callable[[int], Pilot]  # begins n flights
 AT_REST = share_of(

@@ -10,7 +10,7 @@ def _slung_load(vehicle, values):
     if mass == 0.0:
         return vehicle
     present, length = vehicle.effects_load_mass, vehicle.effects_load_length
-    if mass > 0.0:  # two loads are none of one string: what lies between, by their masses
+    if mass > 0.0:  # combined string length: mass-weighted mean
         length = (present * length + mass * values.get("length", length)) / (present + mass)
     return vehicle.changed(effects_load_mass=max(0.0, present + mass), effects_load_length=length)
 
@@ -21,7 +21,7 @@ def _com_offset(vehicle, values):
         return vehicle
     present, hold = vehicle.effects_com_offset, vehicle.effects_attitude_hold
     moved = tuple(old + new for old, new in zip(present, offset))
-    # Both moments are taken over at one rate: that of either counts by its size.
+    # Combined rate at which the moments are compensated: mean, weighted by the sizes of the offsets.
     share = math.hypot(*offset) / (math.hypot(*offset) + math.hypot(*present))
     hold += share * (values.get("hold", hold) - hold)
     return vehicle.changed(effects_com_offset=moved, effects_attitude_hold=hold)

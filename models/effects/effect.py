@@ -14,12 +14,12 @@ from inclined_landing.models.parameters import constants, load_vehicle
 from inclined_landing.models.vehicle import Vehicle
 
 AIR_DENSITY = 1.2  # kg/m3
-# A centre of mass that the motors are asked to hold may well be this many times as far off as one that makes
-# the vehicle stand askew: a deck of 3 g at an arm moves it by 3 mm.
+# Ratio of plausible offsets of the centre of mass: those whose moment the motors compensate, such as the 3 mm
+# by a deck of 3 g on an arm, over those that tilt the vehicle.
 HELD = 2.5
-OFF = 8.0  # negligible sizes by which the reference of an effect may well be off
-# Limits, chosen by hand, of how the sizes of a factor change with the vehicle: so many times, and a factor as
-# low as this stays within the bounds.
+OFF = 8.0  # largest plausible error of the reference of an effect, in its negligible sizes
+# Limits of the ratio by which a factor's sizes change with the vehicle, and a value that its bounds always
+# contain. Chosen by hand.
 LEAST_TIMES, MOST_TIMES, ROOM_BELOW = 0.1, 20.0, 0.8
 
 
@@ -45,7 +45,7 @@ def heavy_rotor_drag(vehicle: Vehicle) -> float:
     return weight / (hover_inflow(vehicle) * n * (d * pwm + e))
 
 
-# Units of parameters whose sizes are those of the shipped vehicle times a power of a quantity of the vehicle.
+# Units of parameters whose sizes scale with a power of a property of the vehicle.
 _SCALED_UNITS: dict[str, tuple[Callable[[Vehicle], float], float]] = {
     **dict.fromkeys(("N", "kg"), (mass, 1.0)),
     "kg/m": (mass, 2.0 / 3.0),  # drag goes with the cross-section
@@ -241,26 +241,26 @@ class Effect:
     regimes: tuple[str, ...]  # the regimes in which it is visible: see REGIMES
     confused_with: tuple[str, ...]  # effects that ordinary flights do not distinguish from it
     remedy: str  # advice to the user
-    # In what it shows, see CHANNELS. Flights of which none was logged do not have it as a candidate, and one
-    # in touchdowns alone is diagnosed from touchdowns. What shows in `requests`, the motors' commands, is no
-    # longer sought in the attitude where they were logged, and is in doubt where they were not.
+    # The quantities that show it, see CHANNELS. It is a candidate if one of them was logged; an effect on
+    # touchdowns alone is diagnosed from touchdowns. An effect on `requests`, the motors' commands, is found
+    # in these, not in the attitude, if they were logged, and is in doubt otherwise.
     channels: tuple[str, ...]
     says: str  # part of a sentence; {parameter} stands for its value with unit
     apply: Callable[[Vehicle, Mapping[str, float]], Vehicle] = None  # type: ignore[assignment]
     # Field of `FlightLog` (or `yaw_rate_command`) -> its least change over the flights of a candidate.
     requires: Mapping[str, float] = dataclasses.field(default_factory=dict)
-    of_the_drive: bool = False  # between command and speed of the rotors: no candidate where that is measured
+    of_the_drive: bool = False  # from command to rotor speed: no candidate if rotor speeds are measured
     is_lag: bool = False  # a lag or delay: in doubt at a low log rate, no candidate in strong wind
     scales_thrust: bool = False  # free flight shows thrust over mass alone: such effects count as one cause
     changes_hover: bool = False  # thrust of a hover command, or weight: such effects may cancel each other
-    # Effects that MuJoCo's contact model changes along with it but real feet do not: they may be as far off.
+    # Effects that change along with it in MuJoCo's contact model but not with real feet, so that their errors
+    # may be as large.
     couples_with: tuple[str, ...] = ()
-    of_the_place: bool = False  # another value in another room or on another day: not part of a vehicle
-    # Whether `identify` fits it; else it stays as it is: a fault of one part, what ordinary flights hide.
+    of_the_place: bool = False  # depends on the room or the day: not a property of the vehicle
+    # False: frozen in `identify` (a fault of a single part, or not excited by ordinary flights).
     identified: bool = True
-    # Where its size follows only with another constant known, flights show a product: the acceleration that
-    # it causes in hover. This says in two clauses, separated by "; ", what the product is and how its factors
-    # are distinguished.
+    # For an effect of which flights identify only a product with another constant, the acceleration that it
+    # causes in hover: two clauses, separated by "; ", on what the product is and how to separate its factors.
     product: str = ""
     told_by: str = ""  # a sentence on how to measure it without a flight; "": by flights
 

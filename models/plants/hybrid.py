@@ -1,31 +1,33 @@
 """The MuJoCo vehicle as a plant that uses the equations for vehicles while no surface is within reach.
 
-In the air an engine's step is the equations of `equations.py` with the rate loop, which agree with it to
-3.4e-5 m over 6 s (`landing-eval equivalence`) and cost a fraction of it. So each period is first
-flown by the equations and accepted if the vehicle was out of reach of slab, base and floor all the time;
-otherwise the engine flies it from its beginning. The equations are solved for the whole period at once where
-`held.py` can and there is room for that, else integrated by RK4 in the engine's time steps.
+In the air, `equations.py` with the rate loop agrees with the engine to 3.4e-5 m over 6 s
+(`landing-eval equivalence`) and costs a fraction of it. Each control period is therefore first flown by the
+equations. The result is accepted if the vehicle was out of reach of slab, base and floor all the time;
+otherwise the engine flies the period from its beginning. If `held.py` can solve the equations for the whole
+period and there is room for it, the period is one step; otherwise RK4 integrates it in the engine's time
+steps.
 
-A vehicle is out of reach in a time step, or in a period that is flown at once, when the sphere around its
-shapes is farther from every surface than its centre can move in it, by `_MARGIN`; slab and base count with
-the keep-out zone. The engine sees contacts at the beginning of a time step and at the three other stages of
-RK4, whose positions are within one step of the speeds of that step: the speeds at its two ends, plus their
-difference for what the acceleration does between. A moving platform, unlike the floor, is seen along with it,
-at the velocity that its centre has at the period's beginning, and it is taken nearer by what any of its
-points can stray from there since: at a speed that its motion never exceeds (`platforms.MOST`), or, where that
-is too near, at one that it does not exceed in this period (`strays`). Where even then the sphere is too near,
-the vehicle is replaced by a disc as flat as its parts, whose rotation during the period must have room too.
-So no contact that the engine would see is missed, and contacts, forces and the zone are always the engine's
-own. A platform is moved to its place in the engine when the engine flies the vehicle, or the plant is saved.
+A vehicle is out of reach during a step if the distance between the sphere around its shapes and every surface
+exceeds the distance that its centre can move, by `_MARGIN`; slab and base include the keep-out zone. The
+engine detects contacts at the four stages of RK4. Their positions differ by less than one time step times a
+bound of the speed: the larger speed of the step's two ends plus the change of velocity between them.
 
-The equations fly only attitudes and rates for which they are as exact as the engine: roll short of the
-Euler angles' singularity at 90 deg, turns in a time step of less than `_TURN`. Torque limits, clamped
-commands, motors that are off, perturbations, disturbance and all effects are in the equations; delayed
-commands are written into the engine's history as the engine would write them. The engine flies all with
-kinematic attitude, the mode for exact comparison, and while its steps are recorded (`advance(record=...)`).
-It also flies vehicles over platforms that can move whose forces may depend on where the platform is, such as
-the ground effect, because the equations know a platform at rest only. The engine's delayed motion capture
-sensors, which nothing reads, are as old as its last step.
+The distance to a moving platform is computed in a frame that moves with the velocity of the platform's centre
+at the beginning of the period. It is reduced by a bound on the displacement of any point of the platform in
+that frame since then: by a speed that the motion never exceeds (`platforms.MOST`) or, if that leaves no room,
+by one that it does not exceed in this period (`strays`). If there is still no room, the sphere is replaced by
+a disc that contains all parts, and the disc's rotation is bounded too. No contact that the engine would
+detect is missed, and contacts, forces and the keep-out zone are always the engine's. A platform is moved to
+its pose in the engine when the engine flies the vehicle or the plant is saved.
+
+The equations fly only attitudes and rates for which they are as accurate as the engine: roll and pitch away
+from the Euler angles' singularity at 90 deg, and rotations of less than `_TURN` in a time step. They contain
+torque limits, clamped commands, motors that are off, perturbations, disturbance and all effects; delayed
+commands are written to the engine's history in the engine's format. The engine flies vehicles with kinematic
+attitude, the mode for exact comparison, and while its steps are recorded (`advance(record=...)`). It also
+flies vehicles over platforms that can move if their forces may depend on the platform's position, as the
+ground effect does, because the equations assume a platform at rest. The engine's delayed motion capture
+sensors, which nothing reads, are only updated by the engine's steps.
 """
 
 from __future__ import annotations
@@ -58,15 +60,15 @@ from inclined_landing.models.plants.engine import Columns
 from inclined_landing.models.plants.mujoco import MujocoPlant
 from inclined_landing.models.plants.platforms import MOST, STILL, Moving, strays
 
-# Beyond what the vehicle moves: 0.03 mm by which the plants' paths differ, and the change of acceleration
-# within a time step, of 4 ms, where speeds at both ends are equal: at 25 m/s2 turned by _TURN 0.04 mm; in a
-# period of 20 ms at once, turned by five times that, dt^2/8 of the change, 0.6 mm.
+# Distance that must remain besides the vehicle's motion. It covers 0.03 mm between the paths of engine and
+# equations, and the displacement dt^2/8 da by a change da of the acceleration, which the speeds at both ends
+# do not show: 25 m/s2 rotated by _TURN in 4 ms give 0.04 mm, rotated by 5 _TURN in 20 ms 0.6 mm.
 _MARGIN = 1e-3  # m
-_SHARE = 1024  # vehicles: with fewer a thread is not worth its while
+_SHARE = 1024  # least number of vehicles for which starting another thread saves time
 _LARGEST_ANGLE = 1.2  # rad, of roll and pitch: cos(roll) is far from 0
-# In a time step; RK4 is then within _TURN^5/120 = 1e-7 rad of the true attitude.
+# Largest rotation in a time step: RK4 is then within _TURN^5/120 = 1e-7 rad of the true attitude.
 _TURN = 0.1  # rad
-# Columns of a vehicle's numbers that are 0 where no force depends on where a platform is.
+# Columns of a vehicle's numbers that are 0 if no force depends on the platform's position.
 _OF_THE_PLACE = forces.columns_besides(
     (
         *held.SOLVED,

@@ -36,7 +36,7 @@ class _Clock(NamedTuple):
     time: np.ndarray  # (n,) s since the vehicles' reset
     begun: np.ndarray  # (n,) s, time of the motions at the vehicles' reset
     step: float  # s, of the engine
-    late: float  # s by which the engine's speeds and accelerations belong earlier than its positions
+    late: float  # s, time offset of velocities and accelerations before positions
 
 
 class _Joints(NamedTuple):

@@ -119,7 +119,7 @@ def test_a_staged_run_appears_whole_or_not_at_all(tmp_path):
 
 
 def test_an_empty_folder_that_is_there_gets_the_files_and_stays(tmp_path, monkeypatch):
-    """As the one that the shell is in, which must not be replaced under it, and a mounted one."""
+    """An empty working directory or mount point must not be replaced."""
     monkeypatch.chdir(tmp_path)
     before = os.stat(".").st_ino
     for out in (".", tmp_path):

@@ -356,9 +356,9 @@ def _fitted(use: UsableFlights, vehicle: Vehicle, library: Mapping[str, Effect])
 
 
 def _idle_references(problem: Problem, values: FittedValues) -> FittedValues:
-    """Return values with neutral references of effects of negligible sizes, where flights show none of them.
+    """Return values in which effects of negligible size have neutral references if the flights allow it.
 
-    At the ends of their ranges, they would bound what later flights can show.
+    A reference at an end of its range would restrict what later flights can show.
     """
     most = (1.0 + IDLE) * problem.squares(values)
     for name, at in values.items():
@@ -371,7 +371,7 @@ def _idle_references(problem: Problem, values: FittedValues) -> FittedValues:
 
 
 def _is_idle(problem: Problem, name: str, values: Values) -> bool:
-    """Return whether all sizes of an effect are negligible, so that what it acts about means nothing."""
+    """Return whether all sizes of an effect are negligible, so that its reference is unidentifiable."""
     sizes = zip(problem.library[name].parameters, problem.sizes(name, values))
     return all(abs(size) < p.negligible for p, size in sizes)
 

@@ -57,8 +57,8 @@ class Scatter(NamedTuple):
     referred: float  # of its difference to the reference vehicle's landings
 
 
-# Friction: of a real cube between strikes, tumbling and sliding (0.18 to 0.24); alone, also of the engines.
-# Feet, after a reference: of the height at which that cube rests between kinds of motion, 0.7 mm.
+# Friction: scatter of a real cube's between strikes, tumbling and sliding (0.18 to 0.24); alone, that between
+# engines too. Feet, after a reference: scatter of the cube's height at rest between kinds of motion, 0.7 mm.
 SCATTER = {
     "friction": Scatter(0.25, 0.21),
     "contact_stiffness": Scatter(0.6, 0.3),
@@ -71,16 +71,15 @@ OF_OTHERS = Scatter(0.5, 0.3)  # of effects of other libraries: as wide as those
 
 
 class Lookalikes(NamedTuple):
-    """Effects that, under another law, looked like an effect whose size is within some ends."""
+    """The effects confounded with one of a size from low to high, under another contact law."""
 
     effects: tuple[str, ...] = ()
     low: float = -math.inf  # in plausible sizes
     high: float = math.inf
 
 
-# Feet that rebound or give way under one law are rougher or shorter ones under another. Stiffer feet raise
-# the vehicle by at most the 1.6 mm by which its weight compresses them; feet longer by more cannot be
-# confused with stiff ones.
+# Feet that rebound or yield under one law are rougher or shorter under another. Stiffer feet raise a vehicle
+# by at most the 1.6 mm by which its weight compresses them: longer feet are not confounded with them.
 LOOKS_LIKE = {
     "friction": Lookalikes(("contact_damping", "contact_stiffness"), low=0.0),
     "contact_damping": Lookalikes(("contact_stiffness", "friction")),
@@ -90,7 +89,7 @@ LOOKS_LIKE = {
 
 
 def look_alike(name: str, size: float) -> tuple[str, ...]:
-    """Return the effects that under another law look like `name`, of a size in plausible sizes."""
+    """Return the effects confounded with `name` under another law; size: in plausible sizes."""
     known = LOOKS_LIKE.get(name, Lookalikes())
     return known.effects if known.low < size < known.high else ()
 
