@@ -55,7 +55,7 @@ def rendering_model(
         body.pos, body.quat = platform
         if has_base:
             add_prism(spec, *platform)
-    for geom in spec.geoms:
+    for geom in list(spec.geoms):  # rays would try those that collide unseen; `scaled_centres` needs the feet
         if geom.group > VISUAL_GROUP and not geom.name.startswith("foot_"):
             spec.delete(geom)
     for geom in spec.geoms:  # the engine's ray culling knows colliding geoms only
