@@ -78,7 +78,8 @@ class Parameter:
     # The point about which the effect's first parameter acts. Any value is neutral while that one is, and it
     # has no size of its own.
     is_reference: bool = False
-    # For a reference: one size about a value between its bounds acts like two sizes, one about each bound.
+    # For a reference: one size about a value between its bounds acts like two sizes, one about each bound, as
+    # `Effect.at_ends` has them.
     linear: bool = True
     along_the_arm: bool = False  # its sizes are proportional to the length of the vehicle's arms
     times: float = 1.0  # set by `sized_for`: factor on its sizes relative to the shipped vehicle

@@ -175,6 +175,14 @@ class _Profile:
         return logsumexp(self.log, axis=1)
 
 
+class _Marginal(NamedTuple):
+    """Evidence at m sizes of one effect, the others marginalised."""
+
+    log: np.ndarray  # (m, d) log evidence of bootstrap samples, all landings first
+    mode: np.ndarray  # (m, P) posterior mode of all effects, from neutral
+    information: np.ndarray  # (m, n, P) about all effects, by landing
+
+
 def _most_probable(profiles: Sequence[_Profile]) -> _Profile:
     """Return the profile of the highest evidence."""
     return max(profiles, key=lambda x: float(x.evidence[0]))
@@ -238,20 +246,19 @@ class _ContactModel:
         """Return the grid with a point added at the posterior mode, REFINEMENTS times."""
         for _ in range(REFINEMENTS):
             sizes = _subdivided(scan.sizes, 4)
-            log = self._logs(j, scan.at(sizes), width, beside)[0][:, 0] + self._log_prior(sizes, j, width[j])
-            best = float(sizes[np.argmax(log)])
+            local = self._marginalised(j, scan.at(sizes), width, beside)
+            best = float(sizes[np.argmax(local.log[:, 0] + self._log_prior(sizes, j, width[j]))])
             if np.abs(scan.sizes - best).min() < 1e-3 * self.slab[j]:
                 break
             scan = scan.with_one(best, self._errors({**beside, j: best}))
         return scan
 
-    def _logs(
+    def _marginalised(
         self, j: int | None, errors: np.ndarray, width: np.ndarray, beside: Mapping[int, float]
-    ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-        """Return the log evidence (m, d) of errors (m, n, 6, q), all effects but j marginalised (Laplace).
+    ) -> _Marginal:
+        """Return the evidence of errors (m, n, 6, q), all effects but j marginalised (Laplace).
 
         width (P,) or (m, P): prior standard deviations; `beside`: sizes that the errors include already.
-        Returns the posterior mode (m, P) of all effects too, and their information (m, n, P) by landing.
         """
         # Mode x by iteratively reweighted least squares (t weights w), Jacobian J, prior precision K:
         #   x += (J'wJ + K)^-1 (J'w e - K x)
@@ -280,27 +287,26 @@ class _ContactModel:
         prior_penalty = (precision * free * (m + at) ** 2).sum(axis=1)[:, None]
         log = each @ self.weights.T - 0.5 * (prior_penalty - square)
         log -= 0.5 * (np.linalg.slogdet(total)[1] - np.log(precision).sum(axis=1)[:, None])
-        return log, m + at, np.einsum("mipp->mip", a)
+        return _Marginal(log, m + at, np.einsum("mipp->mip", a))
 
     def profile(self, names: EffectSet, j: int, scan: _ErrorGrid, beside: Mapping[int, float]) -> _Profile:
         """Return the log evidence of a set along a grid of effect j, refined about the mode."""
         named = {k for k, n in enumerate(self.names) if n in names}
         width, sizes = self._widths(named), _subdivided(scan.sizes, 2)
-        log, _, known = self._logs(j, scan.at(sizes), self._coupled_widths(named, j, sizes), beside)
-        k = int(np.argmax(log[:, 0] + self._log_prior(sizes, j, width[j])))
-        spread = 1.0 / math.sqrt(known[k, :, j].sum() + 1.0 / width[j] ** 2)
+        coarse = self._marginalised(j, scan.at(sizes), self._coupled_widths(named, j, sizes), beside)
+        k = int(np.argmax(coarse.log[:, 0] + self._log_prior(sizes, j, width[j])))
+        spread = 1.0 / math.sqrt(coarse.information[k, :, j].sum() + 1.0 / width[j] ** 2)
         sizes = np.concatenate([sizes, sizes[k] + spread * FINE_GRID])
         sizes = np.unique(np.clip(sizes, scan.sizes[0], scan.sizes[-1]))
-        log, best, _ = self._logs(j, scan.at(sizes), self._coupled_widths(named, j, sizes), beside)
+        fine = self._marginalised(j, scan.at(sizes), self._coupled_widths(named, j, sizes), beside)
         # p(data | S) = sum_x p(data | x) p(x) q(x) dx,  q the factor of the non-local prior
         prior = self._log_prior(sizes, j, width[j])
-        at = best.copy()
+        at = fine.mode.copy()
         at[:, j] = sizes
         own = [k for k, n in enumerate(self.names) if n in names]
-        log = log.T + prior + self._nonlocal_log_prior(at[:, own], own) + np.log(np.gradient(sizes))
+        log = fine.log.T + prior + self._nonlocal_log_prior(at[:, own], own) + np.log(np.gradient(sizes))
         k = int(np.argmax(log[0] - np.log(np.gradient(sizes))))
-        best[k, j] = sizes[k]
-        return _Profile(names, self.names[j], sizes, log, best[k])
+        return _Profile(names, self.names[j], sizes, log, at[k])
 
     def _log_prior(self, sizes: np.ndarray, j: int, width: float) -> np.ndarray:
         """Return the log prior (m,) of effect j at sizes (m,): its spike, or its slab with a wide tail."""
@@ -420,7 +426,7 @@ class _ContactModel:
     def residual(self, values: Values) -> np.ndarray:
         """Return the residual (n, 6, q) at `values`, small (spike) errors of all effects removed."""
         errors = self.problem.errors(self.problem.corrected(values))[None]
-        small = self._logs(None, errors, self._widths(set()), {})[1][0]
+        small = self._marginalised(None, errors, self._widths(set()), {}).mode[0]
         return errors[0] - self.slopes @ small
 
 

@@ -12,6 +12,7 @@ from __future__ import annotations
 import dataclasses
 import math
 from collections.abc import Sequence
+from typing import NamedTuple
 
 import numpy as np
 from scipy.special import fdtrc, stdtrit
@@ -112,13 +113,13 @@ class _GroupContrast:
     score: np.ndarray  # (n, d)
     known: np.ndarray  # (d, d) prior precision
 
-    def difference(self, members: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-        """Return gain (s,), contrast (s, d) to the others and its covariance (s, d, d) of groups (s, n)."""
+    def difference(self, members: np.ndarray) -> _GroupDifference:
+        """Return how groups (s, n) differ from the others."""
         # d = (P + K)^-1 s with the prior precision K; decrease of the squared error s' d
         score, own = self._group_information(members)
         covariance = np.linalg.inv(own + self.known)
         difference = np.einsum("sij,sj->si", covariance, score)
-        return np.einsum("si,si->s", score, difference), difference, covariance
+        return _GroupDifference(np.einsum("si,si->s", score, difference), difference, covariance)
 
     def mean_square(self, members: np.ndarray) -> np.ndarray:
         """Return the mean square (s,) within groups (s, n), at least 1."""
@@ -132,7 +133,9 @@ class _GroupContrast:
     def p_value(self, members: np.ndarray) -> np.ndarray:
         """Return the p-values (s,) of groups (s, n) by an F test: F = (gain / d) / mean square."""
         d = len(self.known)
-        return fdtrc(d, self.degrees_of_freedom, self.difference(members)[0] / d / self.mean_square(members))
+        return fdtrc(
+            d, self.degrees_of_freedom, self.difference(members).gain / d / self.mean_square(members)
+        )
 
     @property
     def degrees_of_freedom(self) -> float:
@@ -161,6 +164,14 @@ class _GroupContrast:
         size = members.sum(axis=1)
         flip = (2 * size > n) | ((2 * size == n) & ~members[:, 0])
         return np.unique(members ^ flip[:, None], axis=0)
+
+
+class _GroupDifference(NamedTuple):
+    """How s groups of flights differ from the others in d columns."""
+
+    gain: np.ndarray  # (s,) decrease of the squared error by the contrast
+    contrast: np.ndarray  # (s, d)
+    covariance: np.ndarray  # (s, d, d) of the contrast
 
 
 @dataclasses.dataclass(frozen=True)
@@ -227,9 +238,9 @@ def _described_split(
             break
         chosen.append(min(more, key=lambda r: (r.p_value, -r.likelihood)).name)
     index = np.concatenate([table.own[name] for name in chosen])
-    _, difference, covariance = table.part(index, flights).difference(split.membership(flights))
-    size = difference[0] * table.unit[index]
-    half = np.sqrt(covariance[0].diagonal()) * table.unit[index]
+    difference = table.part(index, flights).difference(split.membership(flights))  # of one group
+    size = difference.contrast[0] * table.unit[index]
+    half = np.sqrt(difference.covariance[0].diagonal()) * table.unit[index]
     differences, at = [], 0
     for name in chosen:
         one, own = _conditional_test(table, split, [], name), slice(at, at := at + len(table.own[name]))
@@ -263,11 +274,11 @@ def _conditional_test(
     flights = table.exciting(name, np.array(split.group + split.others))
     members, own = split.membership(flights), table.own[name]
     part, share = table.part(own, flights), 1.0
-    gain = float(part.difference(members)[0][0])
+    gain = float(part.difference(members).gain[0])
     if chosen:
         before = np.concatenate([table.own[n] for n in chosen])
         both = np.concatenate([before, own])
-        less, more = (table.part(x, flights).difference(members)[0][0] for x in (before, both))
+        less, more = (table.part(x, flights).difference(members).gain[0] for x in (before, both))
         # Share of its information not confounded with those chosen, by the Schur complement:
         #   tr[a_oo^+ (a_oo - a_ob a_bb^+ a_bo)] / d
         k, a = len(before), table.a[list(split.group)].sum(axis=0)[np.ix_(both, both)]
