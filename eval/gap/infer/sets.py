@@ -165,14 +165,12 @@ class _Fits:
             nonzero = _all_nonzero(problem, names, mode)
             score = evidence(names) + log_prior(problem, names) if nonzero else -np.inf
             at = problem.coordinates(values, columns)
+            next_values, step = mode, problem.coordinates(mode, columns) - at  # a full Newton step
             if best is None or score > best.score:
                 best = FittedSet(names, mode, local, evidence, score)
-                next_values, step = mode, problem.coordinates(mode, columns) - at  # a full Newton step
             elif np.isfinite(best.score):  # back to the middle between the best and here
                 best_at = problem.coordinates(best.local.values, columns)
                 next_values, step = problem.values_at(names, columns, 0.5 * (best_at + at)), at - best_at
-            else:  # none was possible yet
-                next_values, step = mode, problem.coordinates(mode, columns) - at
             in_negligible = step / [problem.parameter(c).negligible for c in columns]
             if score < rough_below or np.abs(in_negligible).max() < STEP_TOLERANCE:
                 break
