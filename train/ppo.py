@@ -58,7 +58,7 @@ def training_environment(config: TrainConfig) -> BatchVecEnv:
         ranges = read_ranges(config.randomise)
         nominal = ranges.nominal
         # In space, where more vehicles are hard to land, denser ends gained nothing.
-        pool = ranges.draw(task.vehicle, config.seed, to_the_ends=config.dimensions != 3)
+        pool = ranges.draw(task.vehicle, config.seed, in_plane=config.dimensions != 3)
         options |= pool_options(pool, config.seed)
     options |= task.plant_options
     plant = make_plant(config.plant, config.environments, task.vehicle, **options)

@@ -7,12 +7,13 @@ import numpy as np
 import pytest
 
 from inclined_landing.envs import randomise
-from inclined_landing.envs.batch import BatchEnv
+from inclined_landing.envs.batch import EASY, BatchEnv
 from inclined_landing.envs.flights import record_flights
 from inclined_landing.envs.policy import load_policy
 from inclined_landing.envs.randomise import read_ranges
 from inclined_landing.envs.tasks import hover_states, make_task
-from inclined_landing.models.attitude import LAG, VX
+from inclined_landing.envs.tasks.landing import AIDED
+from inclined_landing.models.attitude import LAG, PITCH, VX, X, Z
 from inclined_landing.models.base.errors import UserError
 from inclined_landing.models.effects import LIBRARY
 from inclined_landing.models.parameters import constants, load_vehicle
@@ -67,6 +68,7 @@ def test_a_file_of_ranges(tmp_path):
 @pytest.mark.parametrize("text, sentence", [
     ("", r"contains no range, such as scale = \[0.8, 1.1\] in \[effects.thrust_scale\]"),
     ("nominal = 0.5", "contains no range"),
+    ("alone = 0.5\n[effects.mass]\nscale = [1, 1]", "alone needs effects that some vehicles have"),
     ("thrust_scale = [0.8, 1.1]", "thrust_scale is outside any table"),
     ("[effects.thrust]\nscale = [1, 2]", f"unknown effect thrust; choose from {len(LIBRARY)} names, such"),
     ("[effects.mass]\nfactor = [1, 2]", "effect mass has no parameter factor; choose from scale"),
@@ -112,10 +114,21 @@ def test_a_pool_fills_its_ranges(tmp_path):
 
 def test_a_pool_may_be_denser_towards_the_ends(tmp_path):
     """Arcsine distribution: 2/pi asin(sqrt(u)) of the numbers lie below u of the range, to a hundredth."""
-    pool = written(tmp_path).draw(V, 0, 100, to_the_ends=True)
+    pool = written(tmp_path).draw(V, 0, 100, in_plane=True)
     mass = np.array([v.body_mass for v in pool])
     for u in (0.05, 0.1, 0.3, 0.5, 0.9):
         assert abs((mass < 0.03 + 0.01 * u).mean() - 2.0 / np.pi * np.arcsin(np.sqrt(u))) <= 0.01
+
+
+def test_some_vehicles_of_a_pool_have_one_effect(tmp_path):
+    """In the plane the share `alone`, besides what all have, each equally often; the others as before."""
+    usual = written(tmp_path).draw(V, 0, 100, in_plane=True)
+    ranges = written(tmp_path, "alone = 0.3\n" + FILE)
+    pool = ranges.draw(V, 0, 100, in_plane=True)
+    assert pool[30:] == usual[30:] and ranges.draw(V, 0, 100) == written(tmp_path).draw(V, 0, 100)
+    fields = "thrust_state_gain", "effects_attitude_delay", "platform_inclination"
+    changed = np.array([[getattr(v, name) != getattr(V, name) for name in fields] for v in pool[:30]])
+    assert changed.sum(axis=0).tolist() == [30, 15, 15] and (changed.sum(axis=1) == 2).all()
 
 
 def test_deviations_alone(tmp_path):
@@ -158,6 +171,31 @@ def test_every_episode_draws_its_vehicle(plant, tmp_path):
     kept = env.plant.choice.copy()
     env.reset(np.arange(5), np.tile(env.plant.state[0], (5, 1)))  # given starts are flown as they are
     np.testing.assert_array_equal(env.plant.choice, kept)
+
+
+def test_vehicles_that_fail_are_drawn_more_often():
+    """In proportion to EASY plus the share of failures; a new seed forgets them, and a record keeps them."""
+    env = environment("analytic", 1000, [V, V], nominal=0.0)
+    env.task.conditions = AIDED
+    env.reset()
+    first, before = env.plant.choice.copy(), env.episode_state()
+    states = env.plant.state.copy()
+    states[:, [X, Z, PITCH]] = *env.task.goal_position, env.task.inclination  # in the goal box
+    states[first == 2, X] = 10.0  # outside the arena
+    env.reset(np.arange(env.n), states)
+    step = env.step(np.tile([0.0, env.task.inclination / V.command_angle_limit], (env.n, 1)))
+    assert (step.success == (first == 1)).all() and step.terminated.all()
+    np.testing.assert_allclose(env.failures, [0.0, 1.0], atol=1e-9)
+    env.reset()
+    # 1000 draws of a share of 0.2 / 1.4: within 5 standard deviations
+    share = EASY / (2.0 * EASY + 1.0)
+    assert abs((env.plant.choice == 1).mean() - share) < 5 * np.sqrt(share * (1.0 - share) / env.n)
+    env.restore_episodes(before)
+    assert env.failures.tolist() == [0.5, 0.5]
+    env.failures[:] = 1.0, 0.0
+    env.seed(0)
+    env.reset()
+    np.testing.assert_array_equal(env.plant.choice, first)
 
 
 @pytest.mark.parametrize("plant", PLANTS)
