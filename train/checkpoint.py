@@ -33,7 +33,7 @@ from inclined_landing.train.learner import Learner
 from inclined_landing.train.record import FREE, RECORD, changed_entries, ranges_of
 
 CHECKPOINT = "checkpoint.pt"
-FORMAT = 1
+FORMAT = 2
 AVERAGE = "average."  # before the names of averaged weights
 _LARGEST = 2**30  # bytes
 _MOMENTS = ("step", "exp_avg", "exp_avg_sq")  # Adam's, of each parameter

@@ -39,12 +39,13 @@ DRAWN = Rules(settling=350_000, restarts=2, gate=0.5, floor=0.3)
 # Kullback-Leibler divergence between the policies before and after an update that the learning rate is
 # adapted to, and the factor by which it then changes; steps after the first success from which on policies
 # are evaluated, and from which on it is enough that their success has stopped rising; weight of the past in
-# the average of the weights; least standard deviation of the exploration noise.
+# the average of the weights; least standard deviation of the exploration noise, its value after success has
+# stopped rising, and the steps over which it may then fall to the least one again.
 EITHER_SIDE = 0.75
 DIVERGENCE, PACE = 0.015, 1.5
 READY, PATIENT = 100_000, 1_000_000
 AVERAGING = 0.8
-LEAST_NOISE = 0.22
+LEAST_NOISE, BOLD, FADING = 0.22, 0.4, 100_000
 # Parts of a landing's curriculum that `--without` leaves out, and their fields of `LandingConditions`.
 PARTS = {
     "start": ("start_reach", "start_reach_z", "lowest_start"),
@@ -82,6 +83,7 @@ class Curriculum:
     pace = 1.0  # factor on the learning rate that depends on the updates, see `follow`
     averaging = 0.0  # weight of the average of past weights in the policy that is evaluated and saved
     least_noise = 0.0  # standard deviation below which PPO's exploration noise does not fall
+    explored_at = 0  # environment steps after which that was last raised; 0: never
     moments: tuple[tuple[str, dict], ...] = (("the task", {}),)  # titles and attributes, for a figure
 
     def __init__(self, gamma: float | str, the_task: Any = None):
@@ -157,6 +159,9 @@ class Curriculum:
     def learn_again(self) -> None:
         """Reset the learning rate, if it adapts to success, because the policy has stopped improving."""
         self.restarts += 1
+
+    def explore_again(self, steps: int) -> None:
+        """Raise the exploration noise, if it adapts to success, because success has stopped rising."""
 
     def gamma(self, steps: int) -> float:
         """Return the discount factor of the next rollout, after `steps` environment steps."""
@@ -287,12 +292,14 @@ class BalancedCurriculum(AdaptiveCurriculum):
     rate is therefore reduced after an update with more than twice DIVERGENCE and raised again, up to that of
     the adaptive curriculum, after one with less than half of it. In a run that ends by success it does not
     fall otherwise: policies that do not land all vehicles yet need it to learn the remaining ones. The noise
-    does not fall below LEAST_NOISE, as otherwise such small updates change little. The policy that is
-    evaluated and saved has averaged weights, which fluctuate less.
+    does not fall below LEAST_NOISE, as otherwise such small updates change little. If success stops rising
+    short of the end, the noise is raised to BOLD once, and may fall again over FADING steps: a policy that
+    swings around the goal of some vehicles, which with noise reaches it by chance, has to find another way.
+    The policy that is evaluated and saved has averaged weights, which fluctuate less.
     """
 
     name = "balanced"
-    averaging, least_noise = AVERAGING, LEAST_NOISE
+    averaging = AVERAGING
 
     def __init__(self, gamma: float | str):
         super().__init__(gamma, gate=DRAWN.gate, floor=DRAWN.floor)
@@ -300,6 +307,17 @@ class BalancedCurriculum(AdaptiveCurriculum):
         self.left: deque[bool] = deque(maxlen=window // 2)
         self.right: deque[bool] = deque(maxlen=window // 2)
         self.pace = 1.0
+        self.steps = self.explored_at = 0
+
+    @property
+    def least_noise(self) -> float:  # type: ignore[override]
+        if not self.explored_at:
+            return LEAST_NOISE
+        left = max(0.0, 1.0 - (self.steps - self.explored_at) / FADING)
+        return LEAST_NOISE + (BOLD - LEAST_NOISE) * left
+
+    def explore_again(self, steps: int) -> None:
+        self.explored_at = steps
 
     @property
     def worse(self) -> float:
@@ -312,6 +330,7 @@ class BalancedCurriculum(AdaptiveCurriculum):
             (self.left if start_x < 0 else self.right).append(bool(success))
 
     def advance(self, steps: int) -> None:
+        self.steps = steps
         full = all(len(side) == side.maxlen for side in (self.left, self.right))
         if self.success <= self.floor or (full and self.worse > EITHER_SIDE * self.gate):
             super().advance(steps)

@@ -12,6 +12,7 @@ from inclined_landing.train.curriculum import Curriculum
 COMPLETE = 1.0 - 1e-9  # level of a curriculum that is complete
 # Plateau: the mean of the second half of PATIENCE evaluations exceeds that of the first by less than RISING.
 PATIENCE, RISING = 4, 0.01
+CLOSE = 0.005  # success this close to the desired one is left to rise by itself
 
 
 @dataclasses.dataclass(frozen=True)
@@ -47,6 +48,16 @@ class Ending:
         """Return whether evaluations have stopped rising before they reach the desired success rate."""
         return self.config.success is not None and not self._succeeds(VEHICLE_KINDS) and self._rises_no_more()
 
+    def should_explore(self) -> bool:
+        """Return whether evaluations have stopped rising well below the desired success rate.
+
+        Only those after the curriculum's last rise of the exploration noise count.
+        """
+        if self.config.success is None or self.evaluations[-1]["score"] >= self.config.success - CLOSE:
+            return False
+        since = self.curriculum.explored_at
+        return _rises_no_more([e["score"] for e in self.evaluations if e["steps"] > since])
+
     def words(self, steps: int, last: str) -> str:
         """Return a sentence on how the run ended after these steps; last: its last evaluation in words."""
         config = self.config
@@ -78,6 +89,10 @@ class Ending:
 
     def _rises_no_more(self) -> bool:
         """Return whether the last evaluations at the lowest learning rate have stopped rising."""
-        settled = [e["score"] for e in self.evaluations if self.curriculum.settled(e["steps"])][-PATIENCE:]
-        half = PATIENCE // 2
-        return len(settled) == PATIENCE and sum(settled[half:]) <= sum(settled[:half]) + half * RISING
+        return _rises_no_more([e["score"] for e in self.evaluations if self.curriculum.settled(e["steps"])])
+
+
+def _rises_no_more(scores: list[float]) -> bool:
+    """Return whether the last PATIENCE scores, if there are so many, have stopped rising."""
+    last, half = scores[-PATIENCE:], PATIENCE // 2
+    return len(last) == PATIENCE and sum(last[half:]) <= sum(last[:half]) + half * RISING

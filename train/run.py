@@ -192,6 +192,8 @@ class Run:
             raise _Reached
         if self.ending.has_stalled():
             curriculum.learn_again()
+        elif self.ending.should_explore():
+            curriculum.explore_again(steps)
 
     def evaluate(self) -> None:
         """Evaluate the present policy, and log and show its score."""

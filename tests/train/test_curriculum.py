@@ -13,6 +13,9 @@ from inclined_landing.envs.tasks import landing, setpoint
 from inclined_landing.models.base.errors import UserError
 from inclined_landing.train import callbacks
 from inclined_landing.train.curriculum import (
+    BOLD,
+    FADING,
+    LEAST_NOISE,
     PARTS,
     PATIENT,
     READY,
@@ -22,6 +25,7 @@ from inclined_landing.train.curriculum import (
     PaperCurriculum,
     make_curriculum,
 )
+from inclined_landing.train.ending import Ending
 
 TASK = landing.LandingConditions()  # what is evaluated
 
@@ -216,6 +220,34 @@ def test_the_learning_rate_falls_with_the_steps_of_a_run_alone_and_success_is_wa
     assert c.learning_rate_share(600_000, 1_000_000) == 0.5
     assert [c.is_ready(steps) for steps in later] == [False, True, True]
     assert [c.settled(steps) for steps in later] == [False, False, True]
+
+
+@pytest.mark.parametrize(
+    "scores, explores",
+    [
+        ((0.93, 0.92, 0.94, 0.93), True),
+        ((0.93, 0.92, 0.94), False),  # too few
+        ((0.92, 0.93, 0.94, 0.96), False),  # still rising
+        ((0.93, 0.95, 0.92, 0.987), False),  # close to 0.99
+    ],
+)
+def test_noise_is_raised_where_success_has_stopped_rising(scores, explores):
+    c = BalancedCurriculum(0.98)
+    c.level = 1.0
+    rows = [{"steps": 400_000 + k, "score": x, "score_varied": x} for k, x in enumerate(scores)]
+    rows = [row | {"score_nominal": 1.0} for row in rows]
+    ending = Ending(SimpleNamespace(success=0.99, randomise="robust"), c, [], rows)
+    assert ending.should_explore() == explores
+    c.explore_again(400_003)
+    assert not ending.should_explore()  # only later evaluations count
+    noises = []
+    for after in (0, FADING // 2, FADING, 2 * FADING):
+        c.steps = 400_003 + after
+        noises.append(c.least_noise)
+    assert noises == pytest.approx([BOLD, (BOLD + LEAST_NOISE) / 2, LEAST_NOISE, LEAST_NOISE])
+    other = AdaptiveCurriculum()
+    other.explore_again(1)
+    assert (other.least_noise, other.explored_at) == (0.0, 0)
 
 
 def test_averaged_weights_are_lent_and_taken_back():
