@@ -24,10 +24,9 @@ from inclined_landing.models.plants import Plant
 _TRIES = 1000
 _START = ("state", "inclination", "present", "goal_size")  # the fields of a start that are recorded
 _EPISODE = ("length", "total", "contact_steps", "touched", "held_steps")  # 0 at its start
-# A vehicle of the pool is drawn in proportion to its share of recent failures plus EASY, so that one that
-# always fails is drawn six times as often as one that never does. The share is an average in which an episode
-# counts LATEST and those before it the rest. On thirty seeds of landing both made runs shorter and policies
-# better than vehicles drawn evenly (docs/evidence/landing.md).
+# Where vehicles are drawn by their failures, the weight of each is its share of recent failures plus EASY, so
+# that one that always fails is drawn six times as often as one that never does. In the share, an average, an
+# episode counts LATEST and those before it the rest.
 EASY, LATEST = 0.2, 0.15
 
 
@@ -89,8 +88,10 @@ class BatchEnv:
     task counts as held).
 
     nominal: share of the random episodes with the plant's own vehicle; the others have one of its pool, drawn
-    for every episode and hovering initially, the more often the more of its episodes have failed (`failures`,
-    the share of each). None: the vehicles remain those that the plant assigned.
+    for every episode and hovering initially. None: the vehicles remain those that the plant assigned.
+
+    by_failure: draw a vehicle the more often the more of its episodes have failed (`failures`, the share of
+    each), instead of all equally often.
 
     informed: tasks that observe the vehicle, or whose actions are relative to hover, use each vehicle of the
     pool; otherwise the task's.
@@ -103,6 +104,7 @@ class BatchEnv:
         seed: int | None = None,
         nominal: float | None = None,
         informed: bool = True,
+        by_failure: bool = False,
     ):
         if not (isinstance(task, Task) and all(hasattr(plant, name) for name in ("n", "state", "step"))):
             objects = shown(f"{task!r} and {plant!r}", 80)
@@ -112,6 +114,7 @@ class BatchEnv:
         self.task, self.n = task, plant.n
         self.plant: Any = plant  # a Plant of one of the kinds in PLANTS, or what stands for one
         self.nominal = nominal
+        self.by_failure = by_failure and nominal is not None and len(plant.pool) > 0
         self.seed(seed)
         n = self.n
         self.length = np.zeros(n, int)
@@ -165,7 +168,7 @@ class BatchEnv:
     def _records(self) -> dict[str, np.ndarray]:
         start = {name: getattr(self._start, name) for name in _START}
         past = {"past": self.past.steps} if self.task.history else {}
-        failures = {"failures": self.failures} if self._draws_vehicles else {}
+        failures = {"failures": self.failures} if self.by_failure else {}
         return {name: getattr(self, name) for name in _EPISODE} | start | past | failures
 
     def observe(self, ids=slice(None)) -> np.ndarray:
@@ -266,16 +269,15 @@ class BatchEnv:
             start.put(todo, self.task.sample(self.rng, len(todo)))
         raise UserError("none of the task's starts has room for the largest vehicle of the plant")
 
-    @property
-    def _draws_vehicles(self) -> bool:
-        return self.nominal is not None and len(self.plant.pool) > 0
-
     def _draw_vehicles(self, ids: np.ndarray) -> None:
-        if not self._draws_vehicles:
+        if self.nominal is None or not self.plant.pool:
             return
-        weights = EASY + self.failures
-        share = np.cumsum(weights / weights.sum())
-        drawn = 1 + np.searchsorted(share / share[-1], self.rng.random(len(ids)), side="right")
+        if self.by_failure:
+            weights = EASY + self.failures
+            share = np.cumsum(weights / weights.sum())
+            drawn = 1 + np.searchsorted(share / share[-1], self.rng.random(len(ids)), side="right")
+        else:
+            drawn = self.rng.integers(1, len(self.plant.pool) + 1, len(ids))
         drawn[self.rng.random(len(ids)) < self.nominal] = 0
         self.plant.assign(ids, drawn)
 
@@ -338,6 +340,6 @@ class BatchEnv:
         self.total += reward
         terminated = verdict.terminated
         truncated = ((self.length >= self.task.max_steps) | verdict.cut) & ~terminated
-        if self._draws_vehicles and (ended := terminated | truncated).any():
+        if self.by_failure and (ended := terminated | truncated).any():
             self._count_failures(ended, verdict.success)
         return Step(self.observe(), reward, terminated, truncated, verdict.success, verdict.terms)

@@ -4,7 +4,6 @@ A file of ranges is TOML. Every range is [lowest, highest]; equal ends fix the n
 
     nominal = 0.1               # share of episodes with the unchanged vehicle file (default: 0)
     probability = 0.5           # probability that a vehicle has an effect (default: 1)
-    alone = 0.5                 # share of the vehicles with only one of these effects (default: 0)
 
     [effects.thrust_scale]      # an effect of the library by name, with its parameters; others are neutral
     scale = [0.8, 1.1]
@@ -20,10 +19,8 @@ A file of ranges is TOML. Every range is [lowest, highest]; equal ends fix the n
 
 Entries are set first and effects applied on top, in their order. Every number of a pool is distributed over
 its range independently of the others, either uniformly or, for policies trained in the plane, more densely
-towards its ends. `alone` applies to these policies only, and counts no effect that every vehicle has (of
-probability 1): vehicles with one effect are easier to land than those with many, so they are landed first.
-Entries that all vehicles of a plant share cannot have a range: commands, arena, and the platform except for
-its surface_height (the effects platform_height and platform_tilt move it).
+towards its ends. Entries that all vehicles of a plant share cannot have a range: commands, arena, and the
+platform except for its surface_height (the effects platform_height and platform_tilt move it).
 
 Mass, inertia, arms, thrust and loops of real vehicles are correlated, and independent ranges would include
 impossible vehicles. Instead, a file may therefore list vehicles, as files or shipped names, between which
@@ -74,7 +71,6 @@ class _General(Struct, frozen=True):
 
     nominal: Share = 0.0
     probability: Share = 1.0
-    alone: Share = 0.0
     vehicles: Annotated[tuple[str, ...], Meta(min_length=2)] = ()
 
 
@@ -84,7 +80,6 @@ class Ranges:
 
     given: dict[str, Any]  # the content of the file
     nominal: float  # share of the episodes
-    alone: float  # share of the vehicles
     fields: dict[str, tuple[Range, ...]]  # field of Vehicle -> of each of its numbers
     effects: dict[str, dict[str, Range]]  # effect -> parameter -> range
     probability: dict[str, float]  # of each of these effects
@@ -92,14 +87,22 @@ class Ranges:
     vehicles: tuple[Vehicle, ...] = ()  # between which drawn ones lie, neighbours beside each other
 
     def draw(
-        self, vehicle: Vehicle, seed: int, count: int = POOL, *, in_plane: bool = False
+        self,
+        vehicle: Vehicle,
+        seed: int,
+        count: int = POOL,
+        *,
+        to_the_ends: bool = False,
+        alone: float = 0.0,
     ) -> list[Vehicle]:
         """Draw `count` vehicles from a seed; raises UserError if one of them is impossible.
 
-        in_plane: for a policy trained in the plane. Numbers have the arcsine distribution over their range,
-        with 41 % of them in its outer tenths, instead of the uniform one with 20 %: the most difficult
-        vehicles are near the ends, and policies do not extrapolate to them. The share `alone` of the vehicles
-        has one effect, each in turn, besides those that all have.
+        to_the_ends: numbers have the arcsine distribution over their range, with 41 % of them in its outer
+        tenths, instead of the uniform one with 20 %. The most difficult vehicles are near the ends, and
+        policies do not extrapolate to them.
+
+        alone: share of the vehicles that have one effect, each equally often, besides those that all have
+        (of probability 1).
         """
         rng = np.random.default_rng([_STREAM, seed])
 
@@ -108,14 +111,14 @@ class Ranges:
 
         def values_in(low: float, high: float) -> np.ndarray:
             u = spread(0.0, 1.0)
-            return low + (high - low) * (0.5 - 0.5 * np.cos(np.pi * u) if in_plane else u)
+            return low + (high - low) * (0.5 - 0.5 * np.cos(np.pi * u) if to_the_ends else u)
 
         entries = {f: np.stack([values_in(*r) for r in ranges], axis=1) for f, ranges in self.fields.items()}
         present = {name: spread(0.0, 1.0) < chance for name, chance in self.probability.items()}
-        possible = [present[name] for name, chance in self.probability.items() if 0.0 < chance < 1.0]
-        alone = np.arange(round(self.alone * count) if in_plane else 0)
-        for k, has in enumerate(possible):
-            has[alone] = alone % len(possible) == k
+        optional = [present[name] for name, chance in self.probability.items() if 0.0 < chance < 1.0]
+        ones = np.arange(round(alone * count))
+        for k, has in enumerate(optional):
+            has[ones] = ones % len(optional) == k
         sizes = {
             name: {parameter: values_in(*r) for parameter, r in ranges.items()}
             for name, ranges in self.effects.items()
@@ -237,9 +240,7 @@ def read_ranges(name: str | Path) -> Ranges:
             fields[entries[label].field] = _of_entry(entries[label], value, what)
     if not (fields or effects or vehicles):
         raise UserError(f"{what} contains no range, such as scale = [0.8, 1.1] in [effects.thrust_scale]")
-    if file.alone and not any(0.0 < chance < 1.0 for chance in probability.values()):
-        raise UserError(f"{what}: alone needs effects that some vehicles have: a probability between 0 and 1")
-    return Ranges(data, file.nominal, file.alone, fields, effects, probability, what, vehicles)
+    return Ranges(data, file.nominal, fields, effects, probability, what, vehicles)
 
 
 def _of_effect(name: str, ranges: dict, what: str) -> dict[str, Range]:

@@ -35,16 +35,18 @@ USUAL = Rules(settling=400_000, restarts=0, gate=0.7, floor=0.4)
 # For drawn vehicles in the plane: no policy lands all of them. In space a restart costs a million steps and
 # gains little.
 DRAWN = Rules(settling=350_000, restarts=2, gate=0.5, floor=0.3)
-# Of `BalancedCurriculum`: share of gate and floor that success from either side of the goal must exceed; the
-# Kullback-Leibler divergence between the policies before and after an update that the learning rate is
-# adapted to, and the factor by which it then changes; steps after the first success from which on policies
-# are evaluated, and from which on it is enough that their success has stopped rising; weight of the past in
-# the average of the weights; least standard deviation of the exploration noise, its value after success has
-# stopped rising, and the steps over which it may then fall to the least one again.
-EITHER_SIDE = 0.75
+# The rest is of `BalancedCurriculum`.
+ALONE = 0.5  # share of the drawn vehicles that have one effect
+EITHER_SIDE = 0.75  # share of gate and floor that success from either side of the goal must exceed
+# Kullback-Leibler divergence between the policies before and after an update to which the learning rate is
+# adapted, and the factor by which it then changes.
 DIVERGENCE, PACE = 0.015, 1.5
+# Steps after the first success from which on policies are evaluated, and from which on it is enough that
+# their success has stopped rising.
 READY, PATIENT = 100_000, 1_000_000
-AVERAGING = 0.8
+AVERAGING = 0.8  # weight of the past in the average of the weights
+# Least standard deviation of the exploration noise; its value after success has stopped rising, and the steps
+# over which it may then fall to the least one again.
 LEAST_NOISE, BOLD, FADING = 0.22, 0.4, 100_000
 # Parts of a landing's curriculum that `--without` leaves out, and their fields of `LandingConditions`.
 PARTS = {
@@ -296,6 +298,9 @@ class BalancedCurriculum(AdaptiveCurriculum):
     short of the end, the noise is raised to BOLD once, and may fall again over FADING steps: a policy that
     swings around the goal of some vehicles, which with noise reaches it by chance, has to find another way.
     The policy that is evaluated and saved has averaged weights, which fluctuate less.
+
+    Vehicles whose episodes fail are drawn more often, and a share ALONE of them has one effect: otherwise
+    those that pitch less than commanded are landed last.
     """
 
     name = "balanced"

@@ -21,7 +21,7 @@ from inclined_landing.models.parameters import load_vehicle
 from inclined_landing.models.plants import make_plant
 from inclined_landing.models.vehicle import Vehicle
 from inclined_landing.train.config import NET_ARCH, TrainConfig
-from inclined_landing.train.curriculum import initial_gamma
+from inclined_landing.train.curriculum import ALONE, BalancedCurriculum, initial_gamma
 from inclined_landing.train.fast.ppo import FastPPO
 
 # Measured memory in bytes: a sample and its copies, each past step that is part of a sample, and a vehicle
@@ -53,16 +53,20 @@ def training_environment(config: TrainConfig) -> BatchVecEnv:
         # If contact ends the episode, few vehicles are near a surface at a time. 0 threads: all cores.
         few = config.plant == "hybrid" and options["keep_out"] > 0.0 and config.environments <= _FEW
         options |= {"integrator": task.training.integrator, "threads": config.threads or (1 if few else 0)}
-    nominal = None
+    nominal, balanced = None, config.curriculum == BalancedCurriculum.name
     if config.randomise is not None:
         ranges = read_ranges(config.randomise)
         nominal = ranges.nominal
         # In space, where more vehicles are hard to land, denser ends gained nothing.
-        pool = ranges.draw(task.vehicle, config.seed, in_plane=config.dimensions != 3)
+        in_plane = config.dimensions != 3
+        alone = ALONE if balanced else 0.0
+        pool = ranges.draw(task.vehicle, config.seed, to_the_ends=in_plane, alone=alone)
         options |= pool_options(pool, config.seed)
     options |= task.plant_options
     plant = make_plant(config.plant, config.environments, task.vehicle, **options)
-    return BatchVecEnv(BatchEnv(task, plant, config.seed, nominal), reward_scale=config.reward_scale)
+    return BatchVecEnv(
+        BatchEnv(task, plant, config.seed, nominal, by_failure=balanced), reward_scale=config.reward_scale
+    )
 
 
 def pool_options(pool: Sequence[Vehicle], seed: int) -> dict[str, Any]:

@@ -49,8 +49,8 @@ def robust():
     return tuple(read_ranges("robust").draw(V, 0))
 
 
-def environment(plant, n, pool=(), nominal=None, seed=0):
-    return BatchEnv(make_task("landing"), make_plant(plant, n, pool=pool), seed, nominal)
+def environment(plant, n, pool=(), nominal=None, seed=0, **options):
+    return BatchEnv(make_task("landing"), make_plant(plant, n, pool=pool), seed, nominal, **options)
 
 
 def test_a_file_of_ranges(tmp_path):
@@ -68,7 +68,6 @@ def test_a_file_of_ranges(tmp_path):
 @pytest.mark.parametrize("text, sentence", [
     ("", r"contains no range, such as scale = \[0.8, 1.1\] in \[effects.thrust_scale\]"),
     ("nominal = 0.5", "contains no range"),
-    ("alone = 0.5\n[effects.mass]\nscale = [1, 1]", "alone needs effects that some vehicles have"),
     ("thrust_scale = [0.8, 1.1]", "thrust_scale is outside any table"),
     ("[effects.thrust]\nscale = [1, 2]", f"unknown effect thrust; choose from {len(LIBRARY)} names, such"),
     ("[effects.mass]\nfactor = [1, 2]", "effect mass has no parameter factor; choose from scale"),
@@ -114,18 +113,17 @@ def test_a_pool_fills_its_ranges(tmp_path):
 
 def test_a_pool_may_be_denser_towards_the_ends(tmp_path):
     """Arcsine distribution: 2/pi asin(sqrt(u)) of the numbers lie below u of the range, to a hundredth."""
-    pool = written(tmp_path).draw(V, 0, 100, in_plane=True)
+    pool = written(tmp_path).draw(V, 0, 100, to_the_ends=True)
     mass = np.array([v.body_mass for v in pool])
     for u in (0.05, 0.1, 0.3, 0.5, 0.9):
         assert abs((mass < 0.03 + 0.01 * u).mean() - 2.0 / np.pi * np.arcsin(np.sqrt(u))) <= 0.01
 
 
 def test_some_vehicles_of_a_pool_have_one_effect(tmp_path):
-    """In the plane the share `alone`, besides what all have, each equally often; the others as before."""
-    usual = written(tmp_path).draw(V, 0, 100, in_plane=True)
-    ranges = written(tmp_path, "alone = 0.3\n" + FILE)
-    pool = ranges.draw(V, 0, 100, in_plane=True)
-    assert pool[30:] == usual[30:] and ranges.draw(V, 0, 100) == written(tmp_path).draw(V, 0, 100)
+    """The share `alone` has one besides what all have, each equally often; the others are as before."""
+    ranges = written(tmp_path)
+    usual, pool = (ranges.draw(V, 0, 100, to_the_ends=True, alone=share) for share in (0.0, 0.3))
+    assert pool[30:] == usual[30:]
     fields = "thrust_state_gain", "effects_attitude_delay", "platform_inclination"
     changed = np.array([[getattr(v, name) != getattr(V, name) for name in fields] for v in pool[:30]])
     assert changed.sum(axis=0).tolist() == [30, 15, 15] and (changed.sum(axis=1) == 2).all()
@@ -175,7 +173,7 @@ def test_every_episode_draws_its_vehicle(plant, tmp_path):
 
 def test_vehicles_that_fail_are_drawn_more_often():
     """In proportion to EASY plus the share of failures; a new seed forgets them, and a record keeps them."""
-    env = environment("analytic", 1000, [V, V], nominal=0.0)
+    env = environment("analytic", 1000, [V, V], nominal=0.0, by_failure=True)
     env.task.conditions = AIDED
     env.reset()
     first, before = env.plant.choice.copy(), env.episode_state()
