@@ -93,7 +93,7 @@ def record_flights(
     steps: int | None = None,
     informed: bool = True,
     contact_limit: int | None = None,
-    lain: int | None = None,
+    freeze_after: int | None = None,
 ) -> list[Flight]:
     """Fly the deterministic policy from each of `states` (n, 13) or n starts at once, and return the flights.
 
@@ -109,8 +109,9 @@ def record_flights(
         informed: see `BatchEnv`.
         contact_limit: end a flight, without success, after this many control steps in contact with a
             surface (default: never).
-        lain: a vehicle that has lain still for this many control steps stays where it is for the rest of its
-            flight: more than the policy's history, so that it sees no change (default: it is simulated).
+        freeze_after: a vehicle that has lain still for this many control steps is not simulated any more and
+            stays there until its flight ends. They must exceed the policy's history, so that its observations
+            are constant (default: it is simulated).
 
     Raises:
         UserError: when the number of states is not the plant's.
@@ -152,7 +153,7 @@ def record_flights(
         env.act(actions[last])
         lost = np.zeros(n, bool)
         try:
-            plant.step(env.commands, flying if lain is None else flying & (still_for < lain))
+            plant.step(env.commands, flying if freeze_after is None else flying & (still_for < freeze_after))
         except FloatingPointError:
             if not plant.pool:
                 raise
@@ -164,7 +165,7 @@ def record_flights(
         last += 1
         state[last], reward[last], platform[last] = plant.state, step.reward, plant.platform
         state[last, lost] = state[last - 1, lost]
-        if lain is not None and plant.motion is None:
+        if freeze_after is not None and plant.motion is None:
             lies = still(plant.state, plant.platform) & plant.contacts.touch.any(axis=(1, 2))
             still_for = np.where(lies, still_for + 1, 0)
         if contact_limit is not None:

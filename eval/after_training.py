@@ -8,11 +8,12 @@ from pathlib import Path
 
 from inclined_landing.envs.ids import SHIPPED
 from inclined_landing.envs.policy import Policy, load_policy
+from inclined_landing.envs.shared import progress, runs
 from inclined_landing.envs.shared.pool import in_fork
-from inclined_landing.envs.shared.progress import stages
 from inclined_landing.envs.shared.tables import say
 from inclined_landing.envs.tasks import Task
 from inclined_landing.envs.tasks.landing import LandingConditions
+from inclined_landing.envs.tasks.training import DESCENT
 from inclined_landing.eval.base.options import FITTED, Look
 from inclined_landing.eval.pictures.film import film
 from inclined_landing.eval.pictures.flights import fly_from
@@ -25,15 +26,16 @@ from inclined_landing.eval.study.options import NOMINAL
 from inclined_landing.eval.study.scenarios import scenarios
 from inclined_landing.eval.study.show import document, show
 from inclined_landing.models.base import storage
+from inclined_landing.models.base.errors import UserError
 from inclined_landing.models.parameters import load_vehicle
 
-Stages = Sequence[tuple[str, LandingConditions]]  # titles and conditions
+CurriculumStages = Sequence[tuple[str, LandingConditions]]  # titles and conditions
 _LOOK = Look(camera=FITTED, width=960, height=540)  # of video and picture
 _FPS = 25.0  # half as many as `landing-eval video` shows
 _LANDING_SCALES = (1.0, 1.05, 0.95)  # of the thrust, in the table of a landing policy
 
 
-def report(folder: Path, metrics: dict, vehicle: Path | None, curriculum: Stages) -> None:
+def report(folder: Path, metrics: dict, vehicle: Path | None, curriculum: CurriculumStages) -> None:
     """Write the table of `final.zip`, figures, a picture and a video of one flight into the run folder.
 
     vehicle: the run's vehicle file, if it has one. curriculum: the stages of its curriculum.
@@ -52,24 +54,24 @@ def report(folder: Path, metrics: dict, vehicle: Path | None, curriculum: Stages
         figures = pool.submit(_draw, folder, final, curriculum)
         name, study = _study(final, metrics, load)
         results = run([study])
-        with stages() as tick:
+        with progress.stages() as tick:
             tick("figures, picture and film")
             files = figures.result() + filmed()
     for path in files:
         print(path)
     storage.write_json(folder / f"{name}.json", document(name, results))
     main = study.views[0].measures[0]  # says how often the task is done
-    metrics["success"] = {"final": results[0].all(main)}
+    metrics[runs.REPORTED] = {"final": results[0].all(main)}
     storage.write_json(folder / "metrics.json", metrics)  # last: it says that the report is whole
     show(results)
     say(f"The report of this run is in {folder}.")
 
 
-def _draw(folder: Path, policy: Policy, stages: Stages) -> list[Path]:
+def _draw(folder: Path, policy: Policy, curriculum: CurriculumStages) -> list[Path]:
     """Return the files of the figures; matplotlib is imported while the first flights are simulated."""
     from inclined_landing.eval.pictures.training import draw
 
-    return draw(folder, policy, stages)
+    return draw(folder, policy, curriculum)
 
 
 def _film(policy: Policy, folder: Path) -> list[Path]:
@@ -91,11 +93,13 @@ def _study(final: Policy, metrics: dict, load: Callable[[str | Path], Policy]) -
         return "success", groups.study({"final": final}, plant="hybrid", thrust_scales=scales)
     if task.evaluated_by == "touchdown":
         return "touchdown", motor_cut.study(final, _origin(task, metrics["config"]["start_from"], load))
-    return "moving", moving.study(scenarios(), {final.name: moving.pilot_of(final)})
+    if task.evaluated_by == "robustness --over moving":
+        return "moving", moving.study(scenarios(), {final.name: moving.pilot_of(final)})
+    raise UserError(f"task {task.name}: no report is known for evaluated_by = {task.evaluated_by!r}")
 
 
 def _origin(task: Task, began: str, load: Callable[[str | Path], Policy]) -> Policy:
     """Return the landing policy from which a training started, or the paper's if there was none."""
-    landed = began in SHIPPED or Path(began).exists()
-    origin = load(began) if landed else None
+    is_available = began != DESCENT and (began in SHIPPED or Path(began).exists())
+    origin = load(began) if is_available else None
     return load(NOMINAL) if origin is None or origin.task.name == task.name else origin

@@ -45,7 +45,7 @@ def command(out: RunFolder = Path("landing-demo"), seed: Seed = 0) -> None:
     from inclined_landing.envs.shared.tables import say
     from inclined_landing.envs.tasks import hover_states
     from inclined_landing.envs.tasks.frozen import PAPER_STARTS
-    from inclined_landing.eval.study.engine import Study, View, count
+    from inclined_landing.eval.study.engine import Study, View, evaluate
     from inclined_landing.eval.study.flights import table_of
     from inclined_landing.eval.study.show import show
 
@@ -60,7 +60,7 @@ def command(out: RunFolder = Path("landing-demo"), seed: Seed = 0) -> None:
     names = np.where(np.arange(len(flights)) < len(PAPER_STARTS), "the paper's three", f"random, seed {seed}")
     views = [View(("starts",), task.measures, "success"), View((), task.measures)]
     study = Study(name="demo", title=f"Policy {POLICY}", cases=(), views=views)
-    results = count(study, table.assign(starts=names))
+    results = evaluate(study, table.assign(starts=names))
     show([results])
     print("filming the paper's three starts ...", file=sys.stderr)
     points = tuple(",".join(f"{axis:g}" for axis in point) for point in PAPER_STARTS)

@@ -91,6 +91,11 @@ class Fleet(NamedTuple):
         hulls = np.array([[_hull(s, part) for part in range(len(PARTS))] for s in members])
         return cls(centres, radii, reach, first.parts, first.box_centres, first.box_sizes, hulls)
 
+    @property
+    def has_one_shape(self) -> bool:
+        """Whether all vehicles have the shape of the first, the only one here."""
+        return len(self.reach) == 1
+
 
 def _hull(shapes: Shapes, part: int) -> tuple[float, float, float]:
     of = shapes.parts == part

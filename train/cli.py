@@ -51,7 +51,7 @@ def _train(arguments: list[str]) -> int:
     flags = command_line.given(arguments)
     run = Run(config, {field.name for field in dataclasses.fields(config) if flag_of(field.name) in flags})
     # --no-report counts whether this command has it or, with --resume, the one that began the run.
-    due = config.report and run.config.report and not (run.metrics and "success" in run.metrics)
+    due = config.report and run.config.report and not run.is_reported
     if run.metrics is not None:
         print(f"the run in {shown(run.folder)} is finished{'; its report is missing' if due else ''}")
     metrics = run.execute()
@@ -85,11 +85,11 @@ def help_page(complete: bool) -> str:
 
 def _report(run: Run, metrics: dict) -> None:
     """Report on a run that has ended, or print why there is no report."""
-    from inclined_landing.train.lookup import look_up
+    from inclined_landing.train.lookup import REPORT, look_up
     from inclined_landing.train.run import VEHICLE
 
     try:
-        report = look_up("after_training.report")
+        report = look_up(REPORT)
     except UserError as error:
         again = "; after that, the same command with --resume writes it"
         print(f"landing-train: no report, because {error}{again}", file=sys.stderr)

@@ -14,6 +14,7 @@ import tyro
 from msgspec import Meta
 
 from inclined_landing.envs.shared.options import Seed, flag_of
+from inclined_landing.envs.tasks.training import DESCENT
 from inclined_landing.models.base import schema
 from inclined_landing.models.base.errors import UserError, shown
 from inclined_landing.models.base.schema import Many, Real, Share
@@ -41,8 +42,7 @@ COMMON = (
 CARRIED_ON = 100_000  # min_steps of a run that goes on from a policy of its task
 VARIED = 32  # iterations between the longer evaluations of runs of a fixed length with drawn vehicles
 NET_ARCH = (64, 64)
-DESCENT = "descent"  # in place of a policy in --from: the feedback law of the module of this name
-FOR_PLANE = "landing-nominal"  # the policy that replaces it in the plane
+FOR_PLANE = "landing-nominal"  # the policy that replaces DESCENT in the plane
 
 
 # --- options ----------------------------------------------------------------------------------------
@@ -183,6 +183,11 @@ class TrainConfig:
         return resolve(self)
 
     @property
+    def is_planar(self) -> bool:
+        """Whether vehicles fly in a plane, or in a task without a choice of dimensions."""
+        return self.dimensions != 3
+
+    @property
     def folder(self) -> Path:
         """The run folder of a resolved configuration."""
         assert self.out is not None
@@ -262,15 +267,10 @@ def resolve(config: TrainConfig) -> TrainConfig:
         # No evaluation ends a run of a fixed length, so that fewer are enough.
         usual = dataclasses.replace(usual, evaluate_every=VARIED)
 
-    options = {field.name for field in dataclasses.fields(config)} - {"randomise"}
-    shared = [field.name for field in dataclasses.fields(usual) if field.name in options]
-    given = {name: getattr(config, name) for name in shared if getattr(config, name) is not None}
-    learning = dataclasses.replace(usual, **given)
-    schema.check(learning, None, flag_of)
-    values: dict[str, Any] = {name: getattr(learning, name) for name in shared if name not in ENDING}
+    values = _with_defaults(config, usual)
 
     # Training that continues from a policy keeps its actions and network; for the same task, its history too.
-    policy = None if learning.start_from == DESCENT else learning.start_from
+    policy = None if values["start_from"] == DESCENT else values["start_from"]
     same_task = policy is not None and trained_task(policy) == kind.name
     before = trained_options(policy) if policy is not None and same_task else {}
     values |= _ending(config, usual, CARRIED_ON if same_task else usual.min_steps)
@@ -295,13 +295,22 @@ def resolve(config: TrainConfig) -> TrainConfig:
     return dataclasses.replace(config, **values)
 
 
+def _with_defaults(config: TrainConfig, usual: Training) -> dict[str, Any]:
+    """Return the options that have a default in `usual`, as given or by default; ENDING and ranges apart."""
+    names = {field.name for field in dataclasses.fields(config)} - {"randomise"}
+    given = {name: getattr(config, name) for name in names & set(vars(usual))}
+    merged = dataclasses.replace(usual, **{name: x for name, x in given.items() if x is not None})
+    schema.check(merged, None, flag_of)
+    return {name: getattr(merged, name) for name in given if name not in ENDING}
+
+
 def _usual(config: TrainConfig, kind: type[Task], dimensions: int) -> Training:
     """Return the defaults of a task in the case that the options select."""
     from inclined_landing.envs.tasks.training import in_case
 
     training = kind.training
     is_drawn = dimensions in kind.draws_vehicles_in and config.fastest is None and not config.nominal
-    if training.start_from == DESCENT:
+    if kind.training_case == "touchdown":
         training = in_case(training, "touchdown", "touchdown" if dimensions == 3 else "touchdown-2d")
     elif is_drawn:
         if dimensions == 3:

@@ -5,7 +5,7 @@ from __future__ import annotations
 import dataclasses
 from collections.abc import Iterable
 
-from inclined_landing.envs.tasks.base import VEHICLE_KINDS
+from inclined_landing.envs.tasks.base import VEHICLE_KINDS, kind_column
 from inclined_landing.train.config import TrainConfig
 from inclined_landing.train.curriculum import Curriculum
 
@@ -84,7 +84,7 @@ class Ending:
         if len(last) < 2:
             return False
         complete = {row["steps"] for row in self.history if row["level"] >= COMPLETE}
-        columns = ["score"] if config.randomise is None else [f"score_{kind}" for kind in kinds]
+        columns = ["score"] if config.randomise is None else [kind_column("score", kind) for kind in kinds]
         return all(e["steps"] in complete and min(e[c] for c in columns) >= config.success for e in last)
 
     def _rises_no_more(self) -> bool:

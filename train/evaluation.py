@@ -12,7 +12,7 @@ from inclined_landing.envs.policy import Policy
 from inclined_landing.envs.randomise import read_ranges
 from inclined_landing.envs.shared.user_code import blame
 from inclined_landing.envs.tasks import is_path
-from inclined_landing.envs.tasks.base import VEHICLE_KINDS, Start
+from inclined_landing.envs.tasks.base import VEHICLE_KINDS, Start, kind_column
 from inclined_landing.envs.tasks.guard import TaskError
 from inclined_landing.models.attitude import LAG
 from inclined_landing.models.base import storage
@@ -24,8 +24,9 @@ from inclined_landing.train.config import TrainConfig
 if TYPE_CHECKING:
     from inclined_landing.train.learner import Learner
 
-EVALUATION_STARTS = 64
-ENDING_STARTS = 256  # of evaluations that end a run
+# Flights of an evaluation, and of one that may end a run; a randomised run adds those of the nominal vehicle.
+EVALUATION_STARTS, ENDING_STARTS = 64, 256
+NOMINAL_EVERY = 3  # in a randomised run, every third flight has the nominal vehicle
 _SEED = 1_000_003  # apart from every training seed's stream, and from the frozen grid
 
 
@@ -42,13 +43,15 @@ class PeriodicEvaluation:
         self.best: bytes | None = None
         self.task, self.seed = ppo.build_task(config), _SEED + config.seed
         count = EVALUATION_STARTS if config.success is None else ENDING_STARTS
-        count += 0 if config.randomise is None else count // 2
+        if config.randomise is not None:
+            count += count // (NOMINAL_EVERY - 1)
         options: dict[str, Any] = {"threads": config.threads, **self.task.plant_options}
         if config.randomise is not None:
             pool = read_ranges(config.randomise).each_alone(self.task.vehicle)
             options |= ppo.pool_options(pool, self.seed)
         self.plant = make_plant("hybrid", count, self.task.vehicle, **options)
-        self.is_varied = np.arange(count) % 3 > 0  # flights of the pool's vehicles, if there is one
+        # Flights of the pool's vehicles, if there is one.
+        self.is_varied = np.arange(count) % NOMINAL_EVERY > 0
         if self.plant.pool:
             varied = np.flatnonzero(self.is_varied)
             self.plant.assign(varied, 1 + np.arange(len(varied)) % len(self.plant.pool))
@@ -88,7 +91,7 @@ class PeriodicEvaluation:
         if self.plant.pool:
             for kind, chosen in (("nominal", ~self.is_varied), ("varied", self.is_varied)):
                 some = [flights[k] for k in np.flatnonzero(chosen)]
-                score |= {f"{name}_{kind}": value for name, value in self.task.score(some).items()}
+                score |= {kind_column(name, kind): value for name, value in self.task.score(some).items()}
         return score
 
     def words(self, score: dict) -> str:
@@ -97,7 +100,8 @@ class PeriodicEvaluation:
             return self.task.score_words(score)
         parts = []
         for kind, name in VEHICLE_KINDS.items():
-            of_kind = {column.removesuffix(f"_{kind}"): x for column, x in score.items() if kind in column}
+            columns = {column: kind_column(column, kind) for column in score}
+            of_kind = {column: score[own] for column, own in columns.items() if own in score}
             parts.append(f"{self.task.score_words(score | of_kind)} ({name})")
         return ", ".join(parts)
 

@@ -30,7 +30,7 @@ class Learner:
         self.config, self.record = config, record
         self.env = ppo.training_environment(config)
         self.task: Task = self.env.env.task
-        drawn = config.randomise is not None and config.dimensions != 3
+        drawn = config.randomise is not None and config.is_planar
         assert config.curriculum is not None and config.gamma is not None
         self.curriculum = make_curriculum(
             config.curriculum, config.task, config.gamma, config.without, drawn=drawn

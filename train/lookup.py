@@ -8,6 +8,8 @@ from typing import Any
 
 from inclined_landing.models.base.errors import UserError, not_installed
 
+REPORT = "after_training.report"  # writes the report on a run
+
 
 def look_up(name: str) -> Callable[..., Any]:
     """Return a function of `eval`, named `module.function`; raises UserError if a package is missing."""

@@ -58,9 +58,8 @@ def training_environment(config: TrainConfig) -> BatchVecEnv:
         ranges = read_ranges(config.randomise)
         nominal = ranges.nominal
         # In space, where more vehicles are hard to land, denser ends gained nothing.
-        in_plane = config.dimensions != 3
         alone = ALONE if balanced else 0.0
-        pool = ranges.draw(task.vehicle, config.seed, to_the_ends=in_plane, alone=alone)
+        pool = ranges.draw(task.vehicle, config.seed, to_the_ends=config.is_planar, alone=alone)
         options |= pool_options(pool, config.seed)
     options |= task.plant_options
     plant = make_plant(config.plant, config.environments, task.vehicle, **options)

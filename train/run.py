@@ -100,6 +100,11 @@ class Run:
         self.progress: ProgressCallback | None = None
         self._stopped = False
 
+    @property
+    def is_reported(self) -> bool:
+        """Whether the report of a finished run is written."""
+        return self.metrics is not None and runs.REPORTED in self.metrics
+
     def execute(self) -> dict:
         """Train to the end (or the wall-time limit) and return the metrics."""
         with runs.owned(self.folder, RECORD if self.resumed else None):

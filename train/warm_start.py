@@ -24,7 +24,7 @@ from inclined_landing.envs.batch import BatchEnv
 from inclined_landing.envs.history import input_centre, input_scale
 from inclined_landing.envs.policy import Policy, load_policy, trained_task
 from inclined_landing.envs.tasks import StepContext, Task
-from inclined_landing.envs.tasks.landing import GOAL_SIZE
+from inclined_landing.envs.tasks.landing import CONTACT_LIMIT, GOAL_SIZE, LEAVE_LIMIT
 from inclined_landing.envs.tasks.touchdown import (
     FRICTION,
     IDLE_ACTION,
@@ -32,11 +32,12 @@ from inclined_landing.envs.tasks.touchdown import (
     InclinedTouchdown,
     TouchdownConditions,
 )
+from inclined_landing.envs.tasks.training import DESCENT
 from inclined_landing.models import surface
 from inclined_landing.models.attitude import PITCH, ROLL, X, Y, Z
 from inclined_landing.models.base.errors import UserError
 from inclined_landing.models.vehicle import Vehicle
-from inclined_landing.train.config import DESCENT, FOR_PLANE
+from inclined_landing.train.config import FOR_PLANE
 from inclined_landing.train.descent import Descent
 
 CRITIC_FIRST = 65_536  # environment steps in which the actor is left alone
@@ -212,7 +213,12 @@ def teach_law(
     actor = model.policy
     before = env.task.conditions
     env.task.conditions = TouchdownConditions(
-        contact_limit=8, leave_limit=0.3, steep=0.3, close=0.3, friction=FRICTION, restitution=RESTITUTION
+        contact_limit=CONTACT_LIMIT,
+        leave_limit=LEAVE_LIMIT,
+        steep=0.3,
+        close=0.3,
+        friction=FRICTION,
+        restitution=RESTITUTION,
     )
     learned = [p for name, p in actor.named_parameters() if "policy_net" in name or "action_net" in name]
     optimizer = torch.optim.Adam(learned, lr=_RATE)

@@ -25,7 +25,7 @@ import textwrap
 import threading
 import time
 from collections.abc import Callable, Container, Iterator, Mapping, Sequence
-from typing import Any, Literal, get_args, get_origin
+from typing import Any, Literal, NamedTuple, get_args, get_origin
 
 from inclined_landing.models.base import imports
 from inclined_landing.models.base.errors import UserError, not_installed, shown
@@ -69,7 +69,7 @@ def parse(target: Callable, prog: str, arguments: Sequence[str] | None = None) -
             raise UserError(_sentence(message.getvalue(), prog)) from end
         print(_tidy(page.getvalue()))
         raise
-    check_given(getattr(made, "options", made), given(arguments))
+    check_given(made.options if isinstance(made, Call) else dict(_options(made)), given(arguments))
     return made
 
 
@@ -106,38 +106,61 @@ def _positionals_first(arguments: Sequence[str], choices: Mapping[str, Container
     return front + others
 
 
-def check_given(options: Mapping[str, Any] | object, flags: Container[str]) -> None:
-    """Raise UserError if an option on the command line has no values, or has no effect.
+class Option(NamedTuple):
+    """The value of an option, and the marks of its annotation and of its group's."""
 
-    options: a dataclass of options, or values with their annotations by name. flags: from `given`.
-    """
+    value: Any
+    marks: tuple
+
+
+@dataclasses.dataclass(frozen=True)
+class Call:
+    """The call of a command with its options. It owns the run folder that it writes (see `runs.owned`)."""
+
+    command: Callable[[], Any]
+    options: Mapping[str, Option]
+
+    def __call__(self) -> Any:
+        from inclined_landing.envs.shared import runs
+        from inclined_landing.envs.shared.options import RUN_FOLDER
+
+        with contextlib.ExitStack() as owned:
+            for folder, marks in self.options.values():
+                if folder and RUN_FOLDER in marks:
+                    owned.enter_context(runs.owned(folder))
+            return self.command()
+
+
+def check_given(options: Mapping[str, Option], flags: Container[str]) -> None:
+    """Raise UserError if one of `flags`, from `given`, has no values or no effect."""
     from inclined_landing.envs.shared.options import Only, flag_of
 
-    found = dict(_flat(options))
-    values = {name: value for name, (value, _) in found.items()}
-    for name, (value, marks) in found.items():
+    values = {name: option.value for name, option in options.items()}
+    for name, option in options.items():
         if (flag := flag_of(name)) not in flags:
             continue
-        if isinstance(value, tuple) and (not value or () in value):
+        if isinstance(option.value, tuple) and (not option.value or () in option.value):
             raise UserError(f"{flag} needs a value; is a shell variable unset?")
-        for mark in marks:
+        for mark in option.marks:
             if isinstance(mark, Only) and not mark.holds(values):
                 raise UserError(f"{flag} has no effect {mark.otherwise}")
 
 
-def _flat(options: Any, outer: tuple = ()) -> Iterator[tuple[str, tuple[Any, tuple]]]:
-    """Yield name, value and marks of each option, including those in groups."""
+def _options(group: Any, outer: tuple = ()) -> Iterator[tuple[str, Option]]:
+    """Yield the options of a dataclass by name, including those of its groups."""
     from inclined_landing.models.base import schema
 
-    if not isinstance(options, Mapping):
-        kinds = schema.kinds_of(type(options))
-        options = {name: (value, kinds[name]) for name, value in vars(options).items()}
-    for name, (value, kind) in options.items():
-        marks = (*outer, *getattr(kind, "__metadata__", ()))
+    yield from _with_marks(vars(group), schema.kinds_of(type(group)), outer)
+
+
+def _with_marks(values: Mapping[str, Any], kinds: Mapping[str, Any], outer: tuple = ()) -> Iterator:
+    """Yield names and `Option`s of values with these annotations."""
+    for name, value in values.items():
+        marks = (*outer, *getattr(kinds[name], "__metadata__", ()))
         if dataclasses.is_dataclass(value):
-            yield from _flat(value, marks)
+            yield from _options(value, marks)
         else:
-            yield name, (value, marks)
+            yield name, Option(value, marks)
 
 
 def given(arguments: Sequence[str]) -> set[str]:
@@ -216,13 +239,12 @@ def bound(command: Callable) -> Callable:
     """Return a function with the signature and docstring of `command` that returns the call without making
     it.
 
-    Values beyond the limits of an option's type are refused here, before any work. The call owns the run
-    folder that it writes (see `runs.owned`).
+    Values beyond the limits of an option's type are refused here, before any work.
     """
 
     @functools.wraps(command)
-    def later(*arguments: Any, **options: Any) -> Callable:
-        from inclined_landing.envs.shared.options import RUN_FOLDER, flag_of
+    def later(*arguments: Any, **options: Any) -> Call:
+        from inclined_landing.envs.shared.options import flag_of
         from inclined_landing.models.base import schema
 
         given = inspect.signature(command).bind(*arguments, **options)
@@ -233,22 +255,10 @@ def bound(command: Callable) -> Callable:
             flag, must, rest = str(error).partition(" must be ")
             raise UserError(f"{flag.partition('[')[0]}{must}{rest}") from None
         given.apply_defaults()
-        values = {name: (value, kinds[name]) for name, value in given.arguments.items()}
-        folders = [value for value, marks in dict(_flat(values)).values() if RUN_FOLDER in marks and value]
-        call: Any = functools.partial(_with_folders, folders, command, *arguments, **options)
-        call.options = values
-        return call
+        call = functools.partial(command, *arguments, **options)
+        return Call(call, dict(_with_marks(given.arguments, kinds)))
 
     return later
-
-
-def _with_folders(folders: list, command: Callable, /, *arguments: Any, **options: Any) -> Any:
-    from inclined_landing.envs.shared import runs
-
-    with contextlib.ExitStack() as owned:
-        for folder in folders:
-            owned.enter_context(runs.owned(folder))
-        return command(*arguments, **options)
 
 
 def exit_code(

@@ -19,6 +19,7 @@ _PACKAGES = (
     *("mujoco", "gymnasium", "stable-baselines3", "torch", "numpy", "numba"),
     "inclined-landing",
 )
+REPORTED = "success"  # entry of metrics.json that the report on a training run adds
 _owned: dict[Path, bool] = {}  # run folders that this process has locked, and whether it made them
 
 

@@ -28,6 +28,7 @@ from inclined_landing.envs.tasks.options import LONGEST_HISTORY, Record
 from inclined_landing.models.base.schema import Many, Share
 from inclined_landing.models.scene import Zone
 
+# Text, because code would not keep the columns aligned within the width of a line.
 _TABLE = """
                landing   drawn     drawn-from  drawn-slopes  drawn-space  touchdown  touchdown-2d    setpoint
 steps          None      None      None        None          None         2_000_000  1_500_000       2_000_000
@@ -63,10 +64,15 @@ evaluate_every 16        8         16          16            16           16    
 #       begins with a landing policy instead, and explores more.
 #   gamma of the touchdown: a long discount, or the vehicle comes in too fast.
 
+DESCENT = "descent"  # in place of a policy in --from: the feedback law of train/descent.py
+
 
 @dataclasses.dataclass(frozen=True)
 class Training(Record):
-    """Defaults for the options of `landing-train` with the same names, and how vehicles are simulated."""
+    """Defaults for the options of `landing-train` with the same names, and how vehicles are simulated.
+
+    The values here are those of custom tasks.
+    """
 
     steps: Many | None = 1_000_000
     """Fixed number of environment steps; None: the run ends by success."""

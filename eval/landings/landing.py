@@ -30,7 +30,7 @@ from inclined_landing.eval.landings.parameters import configure, steady_pwm
 from inclined_landing.models.geometry import GEOM_SURFACE
 from inclined_landing.models.parameters import load_vehicle
 from inclined_landing.models.plants import MujocoPlant
-from inclined_landing.models.plants.recorder import REST_RATE, REST_SPEED, SLAB, Recorder, Touch
+from inclined_landing.models.plants.recorder import SLAB, STILL_RATE, STILL_SPEED, Recorder, Touch
 from inclined_landing.models.vehicle import Vehicle
 
 OUTCOMES = ("rests", "slides off", "bounces off", "tips over", "misses", "diverges")
@@ -265,7 +265,7 @@ def _update_rest(running, row, s, y, speeds, feet, other, now, dt):
         m[a] += dt / SMOOTHING * (speeds[a] - m[a])
     speed = math.sqrt(m[0] ** 2 + m[1] ** 2 + m[2] ** 2)
     rate = math.sqrt(m[3] ** 2 + m[4] ** 2 + m[5] ** 2)
-    slow = speed < REST_SPEED and rate < REST_RATE
+    slow = speed < STILL_SPEED and rate < STILL_RATE
     if not slow:
         running.last_fast[row], running.s_fast[row], running.y_fast[row] = now + dt, s, y
     running.creep[row] = math.sqrt((s - running.s_fast[row]) ** 2 + (y - running.y_fast[row]) ** 2)

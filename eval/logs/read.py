@@ -11,7 +11,16 @@ from typing import Any
 import numpy as np
 import pandas
 
-from inclined_landing.eval.logs import assemble, checks, copies, csv_file, formats, limits, sd_card, vehicles
+from inclined_landing.eval.logs import (
+    assemble,
+    checks,
+    copies,
+    csv_file,
+    limits,
+    sd_card,
+    unsupported,
+    vehicles,
+)
 from inclined_landing.eval.logs import mapping as mappings
 from inclined_landing.eval.logs.channels import Channel, channels_of
 from inclined_landing.eval.logs.log import COMMANDS, MEASURED, FlightLog, as_logs
@@ -119,7 +128,7 @@ def _record(path: Path, column_map: ColumnMap | None) -> Record:
         return bag.read(path, mappings.patterns(column_map))
     if sd_card.is_sd_card_log(path):
         return sd_card.read(path)
-    formats.check(path)
+    unsupported.check(path)
     return csv_file.read(path, column_map)
 
 

@@ -22,7 +22,7 @@ from inclined_landing.envs.policy import Policy
 from inclined_landing.envs.shared.measures import Row, median_of, share_of
 from inclined_landing.envs.tasks import Start, Task
 from inclined_landing.eval.study.engine import fact
-from inclined_landing.eval.study.rest import Fleet, cut_motors
+from inclined_landing.eval.study.rest import VariantChoice, cut_motors
 from inclined_landing.models import surface
 from inclined_landing.models.attitude import LAG, PITCH, VX, VZ, YAW
 from inclined_landing.models.base.errors import UserError, shown
@@ -127,16 +127,17 @@ def _fly_batch(
     vehicles, scales = zip(*variants)
     pool = list(dict.fromkeys(vehicle for vehicle in vehicles if vehicle != task.vehicle))
     chosen = np.array([0 if v == task.vehicle else 1 + pool.index(v) for v in vehicles])[variant]
-    fleet = Fleet(task.vehicle, pool, chosen, np.array(scales)[variant])
+    choice = VariantChoice(task.vehicle, pool, chosen, np.array(scales)[variant])
     starts = starts[start]
+    # All begin with the same steady PWM: lag = PWM / rate.
     rates = np.array([vehicle.thrust_lag_rate for vehicle in vehicles])[variant]
     starts.state[:, LAG] *= task.vehicle.thrust_lag_rate / rates
-    flown = fleet.begin(make_plant(plant, len(starts), task.vehicle, pool=pool))
-    lain = _LAIN + task.history
-    flights = record_flights(policy, flown, starts, steps=task.judged_steps, informed=False, lain=lain)
+    flown = choice.begin(make_plant(plant, len(starts), task.vehicle, pool=pool))
+    options = {"steps": task.judged_steps, "freeze_after": _LAIN + task.history}
+    flights = record_flights(policy, flown, starts, informed=False, **options)
     table = table_of(task, flights)
     if task.cut_at_success and cut_from < n:
-        table = table.join(_arrivals(flights, table["success"].to_numpy() & (start >= cut_from), fleet))
+        table = table.join(_arrivals(flights, table["success"].to_numpy() & (start >= cut_from), choice))
     for _, rows in table.groupby(variant):
         yield rows.reset_index(drop=True)
 
@@ -158,7 +159,7 @@ def table_of(task: Task, flights: Sequence[Flight]) -> pd.DataFrame:
     return table.assign(time_to_goal=table["time"].where(table["success"]), **task.measured(last))
 
 
-def _arrivals(flights: Sequence[Flight], cut: np.ndarray, fleet: Fleet) -> pd.DataFrame:
+def _arrivals(flights: Sequence[Flight], cut: np.ndarray, choice: VariantChoice) -> pd.DataFrame:
     """Return columns on the entry into the goal box, and on the result if the motors were `cut` (n,) there.
 
     Velocities in m/s, towards and along the slope; `pitch_error` in rad; False and NaN for other flights.
@@ -180,7 +181,7 @@ def _arrivals(flights: Sequence[Flight], cut: np.ndarray, fleet: Fleet) -> pd.Da
         "entry_tangential_speed": along,
         "pitch_error": np.abs(state[:, PITCH] - standing),
         "moving_away": away > 0,
-        **cut_motors(state, inclination, fleet[cut]),
+        **cut_motors(state, inclination, choice[cut]),
     }
     for name, values in found.items():
         table.loc[cut, name] = np.asarray(values)

@@ -19,7 +19,7 @@ from inclined_landing.envs.policy import Policy
 from inclined_landing.envs.shared.measures import Measure, count_words
 from inclined_landing.envs.tasks.landing import PAPER_RESULTS
 from inclined_landing.envs.tasks.start import joined
-from inclined_landing.eval.study.engine import Case, Panel, Results, Study, View
+from inclined_landing.eval.study.engine import Panel, Results, SharedFlights, Study, View
 from inclined_landing.eval.study.flights import ARRIVAL, fly_each, policy_facts, slope_words
 from inclined_landing.models.base.errors import UserError
 
@@ -53,16 +53,15 @@ def study(
     if task.cut_at_success:
         at_entry = "At entry into the goal box, and after cutting the motors there (frozen starts)"
         views.append(View(("policy", "thrust_scale"), ARRIVAL, at_entry, across=True))
-    # All scales of a policy fly together. Its generator yields their tables in the order of the cases, in
-    # which the engine asks for them.
-    flown = {name: _fly(policy, plant, thrust_scales, seed) for name, policy in policies.items()}
+    # All scales of a policy are simulated together.
+    flights = {name: SharedFlights(_fly(p, plant, thrust_scales, seed)) for name, p in policies.items()}
     return Study(
         name=f"success_{task.name}",
         title=f"{task.name}, {plant} plant, starts drawn with seed {seed}",
         cases=[
-            Case({"policy": name, "thrust_scale": float(scale)}, partial(next, tables))
-            for name, tables in flown.items()
-            for scale in thrust_scales
+            shared.case({"policy": name, "thrust_scale": float(scale)}, k)
+            for name, shared in flights.items()
+            for k, scale in enumerate(thrust_scales)
         ],
         views=views,
         panels=[Panel("Success", task.measures[0], "starts")],
@@ -74,10 +73,11 @@ def study(
 
 
 def _fly(policy: Policy, plant: str, scales: Sequence[float], seed: int) -> Iterator[pd.DataFrame]:
-    """Yield the flights from all groups of starts for each scale; those of the last are cut on arrival."""
+    """Yield the flights from all groups of starts for each scale; motors are cut in the frozen set."""
     groups = policy.task.evaluation_groups(seed)
     counts = [len(group) for group in groups.values()]
-    starts, cut_from = joined(list(groups.values())), sum(counts[:-1])
+    *random, _ = counts  # the last group is the frozen set
+    starts, cut_from = joined(list(groups.values())), sum(random)
     variants = [(policy.task.vehicle, scale) for scale in scales]
     for flights in fly_each(policy, starts, plant, variants, cut_from=cut_from):
         yield flights.assign(starts=np.repeat(list(groups), counts), slope=slope_words(policy.task))

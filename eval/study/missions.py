@@ -29,7 +29,7 @@ from inclined_landing.eval.pictures import film
 from inclined_landing.eval.pictures.figures.mission import mission_figure
 from inclined_landing.eval.pictures.frames import FPS, renderer_for, strobe, write_picture
 from inclined_landing.eval.pictures.starts import read_point
-from inclined_landing.eval.study.engine import Results, Study, View, count, fact
+from inclined_landing.eval.study.engine import Results, Study, View, evaluate, fact
 from inclined_landing.eval.study.flights import policy_facts
 from inclined_landing.models.attitude import VX, VY, VZ, X, Y, Z
 from inclined_landing.models.geometry import SURFACES
@@ -78,7 +78,7 @@ def study(missions: Sequence[Mission], facts: Sequence[Row] = (), look: Look | N
         ],
         draw=partial(_draw, missions, look),
     )
-    return count(described, table_of(missions))
+    return evaluate(described, table_of(missions))
 
 
 def table_of(missions: Sequence[Mission]) -> pd.DataFrame:

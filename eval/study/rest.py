@@ -24,7 +24,7 @@ from inclined_landing.envs.tasks.landing import GOAL_SIZE
 from inclined_landing.models import surface
 from inclined_landing.models.attitude import PWM, VX, WX
 from inclined_landing.models.plants import MujocoPlant, Plant
-from inclined_landing.models.plants.recorder import REST_RATE, REST_SPEED, STEP, Recorder
+from inclined_landing.models.plants.recorder import STEP, STILL_RATE, STILL_SPEED, Recorder
 from inclined_landing.models.vehicle import Vehicle
 
 DURATION = 2.0  # s after a motor cut
@@ -144,16 +144,16 @@ def _tilt_at_touch(recorder: Recorder) -> np.ndarray:
 
 
 @dataclasses.dataclass(frozen=True)
-class Fleet:
-    """Vehicles that fly together and differ in their numbers."""
+class VariantChoice:
+    """Which vehicle and thrust scale each of the flights that are simulated together has."""
 
     vehicle: Vehicle
     pool: Sequence[Vehicle] = ()
     choice: np.ndarray = dataclasses.field(default_factory=lambda: np.zeros(1, int))  # see `Plant.assign`
     thrust_scale: np.ndarray = dataclasses.field(default_factory=lambda: np.ones(1))  # like `choice`
 
-    def __getitem__(self, ids) -> Fleet:
-        """Return the fleet of the vehicles `ids`."""
+    def __getitem__(self, ids) -> VariantChoice:
+        """Return the choice of the flights `ids`."""
         return dataclasses.replace(self, choice=self.choice[ids], thrust_scale=self.thrust_scale[ids])
 
     def begin(self, plant: P) -> P:
@@ -165,8 +165,8 @@ class Fleet:
         return plant
 
 
-def cut_motors(states: np.ndarray, inclination: float | np.ndarray, fleet: Fleet) -> pd.DataFrame:
-    """Return a row for each vehicle of a fleet whose motors are cut at `states` (n, 13).
+def cut_motors(states: np.ndarray, inclination: float | np.ndarray, variants: VariantChoice) -> pd.DataFrame:
+    """Return a row for each flight in which the motors are cut at `states` (n, 13).
 
     inclination: that of the platforms, (n,) or one for all [rad]. The scaled thrust is the one that still
     decays.
@@ -177,14 +177,14 @@ def cut_motors(states: np.ndarray, inclination: float | np.ndarray, fleet: Fleet
     """
     n = len(states)
     options: dict[str, Any] = {"control_period": _LOOK, "timestep": STEP, "torque_needs_motors": True}
-    plant = fleet.begin(MujocoPlant(n, fleet.vehicle, pool=fleet.pool, **options))
+    plant = variants.begin(MujocoPlant(n, variants.vehicle, pool=variants.pool, **options))
     plant.set_platform(np.arange(n), inclination)
     recorder = Recorder(plant, states)
     at_rest_for, flying = np.zeros(n), np.arange(n)
     for _ in range(round(DURATION / _LOOK)):
         recorder.step(np.zeros((n, 4)), flying)
         speed, rate = (np.linalg.norm(plant.state[:, k : k + 3], axis=1) for k in (VX, WX))
-        slow = (speed < _SLOW * REST_SPEED) & (rate < _SLOW * REST_RATE)
+        slow = (speed < _SLOW * STILL_SPEED) & (rate < _SLOW * STILL_RATE)
         at_rest_for = np.where(recorder.at_rest() & slow, at_rest_for + _LOOK, 0.0)
         flying = np.flatnonzero(~_decided(at_rest_for, plant.contacts.floor))
         if not len(flying):

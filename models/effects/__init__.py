@@ -1,7 +1,7 @@
 """Library of named physical effects that the equations may lack compared with a real Crazyflie.
 
 A corrected model is the nominal vehicle with effects applied. Each effect maps its parameters to a
-changed `Vehicle`, which both plants understand and a vehicle file stores:
+changed `Vehicle`, which all plants understand and a vehicle file stores:
 
     vehicle = LIBRARY["battery_sag"].apply(load_vehicle(), {"sag": 0.15, "reference": 34100.0})
 

@@ -224,7 +224,7 @@ class Parameter:
 
 @dataclasses.dataclass(frozen=True)
 class Effect:
-    """A physical cause, with the change that it makes to the vehicle in both plants.
+    """A physical cause, with the change that it makes to the vehicle in all plants.
 
     `apply(vehicle, values)` returns the vehicle with the effect added to those it already has. `values` maps
     parameter names to numbers; a missing name is neutral. By default it changes the `fields` of the

@@ -47,7 +47,7 @@ def sizes_differ(vehicles: Sequence[Vehicle]) -> bool:
 
 
 class Plant:
-    """The base of both plants: platform poses, perturbations, disturbance of the air, snapshots.
+    """The base of all plants: platform poses, perturbations, disturbance of the air, snapshots.
 
     shapes, fleet: the collision shapes of the plant's own vehicle, and of all that it has.
 
@@ -123,7 +123,7 @@ class Plant:
             "near": c.near,
             "touch": c.touch,
             "force": c.force,
-            "deck": self.platform,
+            "deck": self.platform,  # the name in checkpoints of earlier versions
             "present": self.present,
             "perturbation": self.perturbation,
             "integral": self.integral,
@@ -258,7 +258,7 @@ class Plant:
     @property
     def size(self) -> np.ndarray:
         """Index (n,) of each vehicle in `fleet`."""
-        return self.choice if len(self.fleet.reach) > 1 else self._alike
+        return self._alike if self.fleet.has_one_shape else self.choice
 
     def clearance(self, ids: np.ndarray, state: np.ndarray) -> np.ndarray:
         """Return the distances (k,) [m] of the vehicles `ids`, in `state` (k, 13), to their platforms.
@@ -279,7 +279,7 @@ class Plant:
         """Hook for plants that also store the perturbation elsewhere."""
 
     def _begin(self, ids: np.ndarray, state: np.ndarray) -> None:
-        """Begin a new episode of the vehicles `ids` at `state` (k, 13): the part common to both plants."""
+        """Begin a new episode of the vehicles `ids` at `state` (k, 13): the part common to all plants."""
         self.state[ids] = state
         write_resting_integrals(ids, self.state, self._constants, self.integral)
         if len(self.load):

@@ -168,11 +168,11 @@ class HybridPlant(MujocoPlant):
         if record or self.attitude != "rate_loop":
             self.in_engine[chosen] = True
             return super().advance(commands, ids, record)
-        push = self._give(np.asarray(commands, float), chosen)
+        push = self._set_inputs(np.asarray(commands, float), chosen)
         moving = self.platforms.moving if self.platforms else STILL
         near = self._fly(chosen, _Period(self.acting_commands(), push, self.torque_needs_motors, moving))
         if len(near):
-            self._roll(None if len(near) == self.n else near)
+            self._step_engine(None if len(near) == self.n else near)
             if self.platforms:
                 self.platforms.follow(near)
         self.delays.push_state(self.state, chosen)
@@ -193,10 +193,10 @@ class HybridPlant(MujocoPlant):
             self._write_loads(ids[~self.in_engine[ids]])
         return ids[self.in_engine[ids]]
 
-    def _roll(self, ids, record=()):
+    def _step_engine(self, ids, record=()):
         if self.platforms:  # in the engine they are still where its last step of a vehicle left them
             self.platforms.place(self._everyone if ids is None else ids, self.present)
-        return super()._roll(ids, record)
+        return super()._step_engine(ids, record)
 
     def _place_platforms(self, ids):
         if self.platforms:  # those in the engine wait until it needs them

@@ -345,15 +345,15 @@ class MujocoPlant(Plant):
         """
         commands = np.asarray(commands, float)
         chosen = self._everyone if ids is None else ids
-        self._give(commands, chosen)
+        self._set_inputs(commands, chosen)
         if self.attitude == "kinematic":
             self._synchronise(chosen)
-        seen = self._roll(ids, record)
+        seen = self._step_engine(ids, record)
         self._place_platforms(chosen)
         self.delays.push_state(self.state, chosen)
         return seen
 
-    def _give(self, commands: np.ndarray, ids) -> np.ndarray:
+    def _set_inputs(self, commands: np.ndarray, ids) -> np.ndarray:
         """Set commands (n, 4) and disturbance for the control period that begins for the vehicles `ids`.
 
         Returns the disturbance's push (n, 6), see `Disturbance.push`, or `equations.STILL`.
@@ -375,7 +375,7 @@ class MujocoPlant(Plant):
         _synchronise_rates(*rows, self.acting_commands()[0], self._constants, self.perturbation, kept)
         self._write_loads(ids)  # whose joints turn with the vehicles
 
-    def _roll(self, ids: np.ndarray | None, record: tuple[str, ...] = ()) -> dict[str, np.ndarray]:
+    def _step_engine(self, ids: np.ndarray | None, record: tuple[str, ...] = ()) -> dict[str, np.ndarray]:
         """Run one control period of the vehicles `ids` in the engine and read the results; see `advance`."""
         stepped = self._everyone if ids is None else ids
         seen = {"sensordata": self._seen[: len(stepped)]}

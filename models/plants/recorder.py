@@ -42,9 +42,10 @@ from inclined_landing.models.plausible import ENGINE_STEP
 
 _COLUMNS = {"qpos": 7, "qvel": 6, "act": 1}  # the vehicle's; those of a moving platform follow
 STEP = ENGINE_STEP  # s, where nothing else is asked for
-# Still: slower than these.
-REST_SPEED = 0.02  # m/s
-REST_RATE = 0.2  # rad/s
+# Limits at one moment, below which a vehicle lies still. The touchdown task's are wider: they must hold for a
+# while, and a vehicle on springy contact trembles.
+STILL_SPEED = 0.02  # m/s
+STILL_RATE = 0.2  # rad/s
 SLAB = CONTACT_GEOMS.index("slab")  # row of `MujocoPlant.contact_sensors`
 FEET = PARTS.index("feet")
 # The classical fourth-order method as in the engine's mj_RungeKutta: every stage starts at the state of the
@@ -162,7 +163,7 @@ def still(state: np.ndarray, platform: np.ndarray | None) -> np.ndarray:
     """Return (n,) bool: whether states (n, 13) are nearly motionless relative to platforms (n, 12)."""
     around = np.zeros((len(state), WZ + 1)) if platform is None else platform
     _, velocity, rate = surface.relative(state, around)
-    return (np.linalg.norm(velocity, axis=1) < REST_SPEED) & (np.linalg.norm(rate, axis=1) < REST_RATE)
+    return (np.linalg.norm(velocity, axis=1) < STILL_SPEED) & (np.linalg.norm(rate, axis=1) < STILL_RATE)
 
 
 def fly(plant: MujocoPlant, commands: np.ndarray) -> np.ndarray:

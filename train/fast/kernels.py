@@ -22,6 +22,7 @@ from numba.extending import intrinsic
 from inclined_landing.train.fast.layers import BLOCK, backward, compiled, forward, inlined, load, once
 
 STATISTICS = ("policy_loss", "value_loss", "entropy", "kl", "clipped")  # of a minibatch
+_POLICY_LOSS, _VALUE_LOSS, _ENTROPY, _KL, _CLIPPED = range(len(STATISTICS))
 _B, _0, _1 = np.uint64(BLOCK), np.uint64(0), np.uint64(1)
 _HALF_LOG_TWO_PI = 0.5 * math.log(2 * math.pi)
 NOBODY = 2**62  # in the counter: no thread is to be waited for
@@ -158,8 +159,9 @@ def advantages(rewards, values, starts, last_values, last_dones, gamma, gae_lamb
 @once
 def _actor_gradient(actor, rollout, rows, first, last, scaling, settings, statistics):
     """Write the gradient of the clipped surrogate and the entropy over rows[first:last], and STATISTICS."""
-    w, widths, _, _, a, d, g = actor
-    observations, actions, before, gains, _ = rollout
+    w, widths, g = actor.weights, actor.widths, actor.gradient
+    a, d = actor.activations, actor.derivatives
+    observations, actions, gains = rollout.observations, rollout.actions, rollout.advantages
     clip, entropy, learns = np.float32(settings.clip), np.float32(settings.entropy), settings.actor_learns
     size, samples = widths[-1], last - first
     log_std = np.uint64(len(w)) - size
@@ -191,7 +193,7 @@ def _actor_gradient(actor, rollout, rows, first, last, scaling, settings, statis
             # A <- (A - mean A)/(std A + 1e-8); ratio = pi(a|o)/pi_old(a|o)
             # L = -min(ratio A, clip(ratio, 1 - eps, 1 + eps) A); KL ~ (ratio - 1) - log ratio
             gain = np.float32((gains[row] - np.float32(mean)) / (np.float32(std) + np.float32(1e-8)))
-            log_ratio = density - before[row]
+            log_ratio = density - rollout.log_probs[row]
             ratio = np.exp(log_ratio)
             limited = low if ratio < low else ratio
             limited = high if limited > high else limited
@@ -211,16 +213,17 @@ def _actor_gradient(actor, rollout, rows, first, last, scaling, settings, statis
     for k in range(size):
         g[log_std + k] -= entropy
         total += 0.5 + _HALF_LOG_TWO_PI + w[log_std + k]
-    statistics[0], statistics[2] = loss / samples, -total
-    statistics[3], statistics[4] = kl / samples, clipped / samples
+    statistics[_POLICY_LOSS], statistics[_ENTROPY] = loss / samples, -total
+    statistics[_KL], statistics[_CLIPPED] = kl / samples, clipped / samples
 
 
 @once
 def _critic_gradient(critic, rollout, rows, first, last, scaling, settings, statistics):
     """Write the weighted mean square error of the values over rows[first:last], and its gradient."""
     # L = weight mean((V - R)^2)
-    w, widths, _, _, a, d, g = critic
-    observations, _, _, _, returns = rollout
+    w, widths, g = critic.weights, critic.widths, critic.gradient
+    a, d = critic.activations, critic.derivatives
+    observations, returns = rollout.observations, rollout.returns
     weight = np.float32(settings.values)
     samples = last - first
     g[:] = 0
@@ -236,7 +239,7 @@ def _critic_gradient(critic, rollout, rows, first, last, scaling, settings, stat
             loss += error * error
             d[out * _B + s] = weight * np.float32(2) * error / np.float32(samples)
         backward(w, widths, a, d, out, g)
-    statistics[1] = loss / samples
+    statistics[_VALUE_LOSS] = loss / samples
 
 
 @inlined

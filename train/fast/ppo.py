@@ -279,20 +279,30 @@ class FastPPO(PPO):
             for name in _BUFFERED:
                 setattr(buffer, name, buffer.swap_and_flatten(getattr(buffer, name)))
             buffer.generator_ready = True
-        names = ("observations", "actions", "log_probs", "advantages", "returns")
-        rollout = kernels.Rollout(
-            *(getattr(buffer, name).reshape(len(buffer.values), -1) for name in names[:2]),
-            *(getattr(buffer, name).reshape(-1) for name in names[2:]),
-        )
         samples = len(buffer.values)
+        rollout = kernels.Rollout(
+            observations=buffer.observations.reshape(samples, -1),
+            actions=buffer.actions.reshape(samples, -1),
+            log_probs=buffer.log_probs.reshape(-1),
+            advantages=buffer.advantages.reshape(-1),
+            returns=buffer.returns.reshape(-1),
+        )
         order = [np.random.permutation(samples) for _ in range(self.n_epochs)]  # noqa: NPY002 (as SB3 does)
         batches = -(-samples // self.batch_size)
         statistics = np.zeros((self.n_epochs * batches, len(kernels.STATISTICS)))
         learners = actor.learner(optimizer), critic.learner(optimizer)
+        beta1, beta2 = group["betas"]
         settings = kernels.Settings(
-            *(np.uint64(self.batch_size), actor.learns, clip_range),
-            *map(float, (self.ent_coef, self.vf_coef, self.max_grad_norm)),
-            *map(float, (group["lr"], *group["betas"], group["eps"])),
+            batch=np.uint64(self.batch_size),
+            actor_learns=actor.learns,
+            clip=clip_range,
+            entropy=float(self.ent_coef),
+            values=float(self.vf_coef),
+            largest_norm=float(self.max_grad_norm),
+            rate=float(group["lr"]),
+            beta1=float(beta1),
+            beta2=float(beta2),
+            epsilon=float(group["eps"]),
         )
         counter, norms = np.zeros(1, np.int64), np.zeros((2, 2))
         rest = *learners, rollout, np.array(order, np.uint64), self._scaling(), settings, statistics

@@ -1,4 +1,4 @@
-"""The vehicle itself: the MuJoCo plant in steps of 4 ms, and its sensors.
+"""The vehicle itself: the MuJoCo plant in steps of 4 ms.
 
 Axes here are the project's: body x forward, y left, z up, R = Rz(yaw) Rx(roll) Ry(pitch), positive pitch
 leans towards +x. The firmware uses others, which only `firmware_attitude` and `plant_command` convert:

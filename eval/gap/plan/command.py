@@ -32,7 +32,7 @@ def command(
     from inclined_landing.envs.shared.progress import stages
     from inclined_landing.envs.shared.tables import say
     from inclined_landing.eval.gap import thresholds
-    from inclined_landing.eval.gap.plan import doubt
+    from inclined_landing.eval.gap.plan import sentences
     from inclined_landing.eval.gap.plan.design import design
     from inclined_landing.eval.gap.plan.reading import read_report
     from inclined_landing.eval.gap.report import words
@@ -42,24 +42,24 @@ def command(
     best = plan_input.hypotheses[0]
     if best.probability >= thresholds.DECIDED:
         probability = words.probability(best.probability)
-        say(f"No flight is needed: {doubt.set_label(best)} has a probability of {probability}.")
+        say(f"No flight is needed: {sentences.set_label(best)} has a probability of {probability}.")
         return
     with stages() as tick:
         plan = design(plan_input, seconds=seconds, tick=tick)
-    found = doubt.effects_in_doubt(plan_input, plan.discrimination, plan.expected)
-    beyond = doubt.measured_otherwise(found)
-    if not doubt.is_worth_flying(found, plan.gain):
-        say(*doubt.in_doubt(found), *beyond)
+    found = sentences.effects_in_doubt(plan_input, plan.discrimination, plan.expected)
+    beyond = sentences.measured_otherwise(found)
+    if not sentences.is_worth_flying(found, plan.gain):
+        say(*sentences.in_doubt(found), *beyond)
         say("No flight was planned, because no safe flight would distinguish these.")
         return
-    lines = [*doubt.in_doubt(found), *doubt.outcome(found), *beyond, *doubt.why_near(plan)]
+    lines = [*sentences.in_doubt(found), *sentences.outcome(found), *beyond, *sentences.why_near(plan)]
     with runs.staged_run(out) as folder:
         storage.write_text(folder / "flight.csv", plan.points.csv())
-        content = doubt.to_json(plan, plan_input, found, report) | {"text": lines}
+        content = sentences.to_json(plan, plan_input, found, report) | {"text": lines}
         storage.write_json(folder / "plan.json", content)
     flight = out / "flight.csv"
-    say(*doubt.flight(plan), *lines)
-    command = doubt.fly_command(flight, plan_input.platform, arena)
+    say(*sentences.flight(plan), *lines)
+    command = sentences.fly_command(flight, plan_input.platform, arena)
     print(f"To simulate it: {command} --simulated")
     print(f"To fly it: {command} --uri URI --mocap TYPE:HOST:BODY")
     say(f"The most informative flight is {flight}.", style="bold")

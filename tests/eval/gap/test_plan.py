@@ -11,7 +11,7 @@ from msgspec import structs
 from inclined_landing.eval.cli import main
 from inclined_landing.eval.gap.model.columns import Candidates, ParameterColumn
 from inclined_landing.eval.gap.model.reference import ReferenceResidual, VehiclePosterior, free_effects
-from inclined_landing.eval.gap.plan import doubt, pieces, safety
+from inclined_landing.eval.gap.plan import pieces, safety, sentences
 from inclined_landing.eval.gap.plan.design import design
 from inclined_landing.eval.gap.plan.information import ModelDiscrimination, NoiseLevels
 from inclined_landing.eval.gap.plan.pieces import setpoints
@@ -179,15 +179,15 @@ def test_the_design_is_safe_repeatable_and_tells(plan):
     assert kinds & {"run", "circle"}
     # Drag shows at any height: nothing brings the flight near the floor.
     assert not any(span.piece.near for span in plan.path.spans)
-    assert plan.without is None and doubt.why_near(plan) == []
+    assert plan.without is None and sentences.why_near(plan) == []
 
 
 def test_only_weighing_distinguishes_mass_from_thrust():
     discrimination = ModelDiscrimination([MASS, THRUST], VEHICLE, NoiseLevels.typical())
     expected = discrimination.expected(gram(discrimination, points("climb", "thrusts")))
-    found = doubt.effects_in_doubt(plan_input(MASS, THRUST), discrimination, expected)
+    found = sentences.effects_in_doubt(plan_input(MASS, THRUST), discrimination, expected)
     assert not any(one.resolved for one in found)
-    assert "Weigh the vehicle" in " ".join(doubt.measured_otherwise(found))
+    assert "Weigh the vehicle" in " ".join(sentences.measured_otherwise(found))
 
 
 @pytest.mark.slow
@@ -200,7 +200,7 @@ def test_a_flight_goes_near_the_floor_where_it_must_and_says_why():
     least = pieces.KINDS["low_pass"].bounds["height"][0]
     assert near and max(piece.height for piece in near) > least + 0.01
     assert low.expected[1, 1] > low.without[1, 1] + 0.2
-    (said,) = doubt.why_near(low)
+    (said,) = sentences.why_near(low)
     assert "because ground effect cannot be identified higher up" in said
 
 
@@ -348,6 +348,6 @@ def test_no_report_and_no_room_are_refused(tmp_path, capsys):
 
 
 def test_a_flight_is_flown_for_what_it_can_show():
-    found = [doubt.InDoubt(name, 0.5, 0.6, 0.4, 0.8) for name in ("thrust_scale", "mass", "rotor_drag")]
-    assert doubt.is_worth_flying(found, 1.0) and not doubt.is_worth_flying(found, 0.0)
-    assert not doubt.is_worth_flying(found[:2], 1.0)  # whatever the gain: their ratio alone shows
+    found = [sentences.InDoubt(name, 0.5, 0.6, 0.4, 0.8) for name in ("thrust_scale", "mass", "rotor_drag")]
+    assert sentences.is_worth_flying(found, 1.0) and not sentences.is_worth_flying(found, 0.0)
+    assert not sentences.is_worth_flying(found[:2], 1.0)  # whatever the gain: their ratio alone shows

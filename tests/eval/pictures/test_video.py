@@ -15,7 +15,7 @@ from inclined_landing.eval.pictures.flights import fly_from
 from inclined_landing.eval.pictures.frames import render_flight, renderer_for, write_videos
 from inclined_landing.eval.pictures.starts import usual_starts
 from inclined_landing.eval.pictures.to_rest import to_rest
-from inclined_landing.eval.study.rest import Fleet, cut_motors
+from inclined_landing.eval.study.rest import VariantChoice, cut_motors
 from inclined_landing.models.base.errors import UserError
 from inclined_landing.models.plants.recorder import still
 
@@ -107,7 +107,7 @@ def test_a_landing_goes_on_to_rest_with_its_motors_cut(landed):
     }
     # At rest where the success table's own judgement of the same cut says so, tilted as the slope is.
     task = flight.task
-    judged = cut_motors(flight.state[-1:], flight.inclination, Fleet(task.vehicle))
+    judged = cut_motors(flight.state[-1:], flight.inclination, VariantChoice(task.vehicle))
     assert whole.at_rest == judged.at_rest_on_feet[0] and whole.ending == "at rest on its feet"
     assert still(whole.state, whole.platform)[whole.settled :].all()
     assert not still(whole.state, whole.platform)[whole.settled - 1]

@@ -10,7 +10,7 @@ from inclined_landing.envs.policy import load_policy
 from inclined_landing.envs.shared.measures import STRICT
 from inclined_landing.eval import cli
 from inclined_landing.eval.study import changes, robustness, vehicles
-from inclined_landing.eval.study.engine import count, run
+from inclined_landing.eval.study.engine import evaluate, run
 from inclined_landing.eval.study.flights import named_policies
 from inclined_landing.eval.study.options import THRUSTS
 from inclined_landing.models.base.errors import UserError
@@ -103,7 +103,7 @@ def counted(flights, cases=CASES):
     names = flights["policy"].unique()
     study = changes.study(dict.fromkeys(names, load_policy("landing")), cases, plant="hybrid")
     columns = {measure.column or measure.name for view in study.views for measure in view.measures}
-    return count(study, flights.assign(**dict.fromkeys(columns - set(flights), False)))
+    return evaluate(study, flights.assign(**dict.fromkeys(columns - set(flights), False)))
 
 
 @pytest.mark.parametrize(

@@ -18,7 +18,7 @@ from inclined_landing.envs.tasks import StepContext, frozen, make_task, slopes
 from inclined_landing.envs.tasks.base import hover_states
 from inclined_landing.eval import cli
 from inclined_landing.eval.study import changes, flights, groups, rest, show
-from inclined_landing.eval.study.engine import count, run
+from inclined_landing.eval.study.engine import evaluate, run
 from inclined_landing.eval.study.flights import ARRIVAL, fly_each, table_of
 from inclined_landing.models.attitude import LAG, PITCH, VX, VZ
 from inclined_landing.models.base import storage
@@ -129,7 +129,7 @@ def test_a_vehicle_that_lies_still_stays_where_it_is(landing):
     """In the two seconds that are left it creeps by less than 0.4 mm: contact allows 0.2 mm/s at rest."""
     policy = Constant(landing, -1.0, 0.0)
     simulated, kept = (
-        record_flights(policy, "hybrid", pose(1.0, 0.5), steps=200, lain=n)[0] for n in (None, 25)
+        record_flights(policy, "hybrid", pose(1.0, 0.5), steps=200, freeze_after=n)[0] for n in (None, 25)
     )
     assert np.array_equal(simulated.reward, kept.reward) and simulated.touched and kept.touched
     assert np.abs(simulated.state - kept.state)[:, :3].max() < 4e-4
@@ -160,7 +160,7 @@ def test_wrong_arguments_of_record_flights_are_one_sentence(landing):
 def test_cut_motors_fall_and_stay(landing):
     state = pose(landing.goal_position[1])
     state[:, LAG] = 0.0
-    after = rest.cut_motors(state, ALPHA, rest.Fleet(load_vehicle()))
+    after = rest.cut_motors(state, ALPHA, rest.VariantChoice(load_vehicle()))
     gap = landing.start_clearance(landing.start(state))[0]
     g = load_vehicle().environment_gravity
     # free fall over the gap, parallel to the slope; the speed is taken up to two 4 ms steps early
@@ -174,7 +174,7 @@ def test_cut_motors_fall_and_stay(landing):
 
 def test_cut_motors_slide_on_a_slippery_slope(landing):
     slippery = dataclasses.replace(load_vehicle(), contact_friction=0.3)
-    after = rest.cut_motors(pose(landing.goal_position[1]), ALPHA, rest.Fleet(slippery))
+    after = rest.cut_motors(pose(landing.goal_position[1]), ALPHA, rest.VariantChoice(slippery))
     assert after.touchdown[0] and not after.at_rest_on_feet[0]
 
 
@@ -185,10 +185,10 @@ def test_flights_that_are_decided_early_end_as_they_would(landing, monkeypatch):
     states[:, [VX, VZ]] += rng.uniform(-1.0, 1.0, (6, 2))
     for friction in (0.3, 0.49, 0.8):
         vehicle = dataclasses.replace(load_vehicle(), contact_friction=friction)
-        early = rest.cut_motors(states, ALPHA, rest.Fleet(vehicle))
+        early = rest.cut_motors(states, ALPHA, rest.VariantChoice(vehicle))
         with monkeypatch.context() as patch:
             patch.setattr(rest, "_decided", lambda at_rest_for, on_floor: np.zeros(len(on_floor), bool))
-            whole = rest.cut_motors(states, ALPHA, rest.Fleet(vehicle))
+            whole = rest.cut_motors(states, ALPHA, rest.VariantChoice(vehicle))
         np.testing.assert_array_equal(early, whole)
 
 
@@ -360,5 +360,5 @@ def test_a_slope_of_the_other_sign_on_which_nothing_lands_gets_a_hint(flown, lan
     )
     columns = {measure.column or measure.name for measure in (*task.measures, *ARRIVAL)}
     flights = flights.assign(**dict.fromkeys(columns - set(flights), 0.0))
-    remark = study.remarks(count(study, flights))[0]
+    remark = study.remarks(evaluate(study, flights))[0]
     assert remark.endswith("try --inclination -20.") == hinted

@@ -1,4 +1,4 @@
-"""The faces of the environment: Gymnasium, its vector environment, and Stable-Baselines3."""
+"""The interfaces of the environment: Gymnasium, its vector environment, and Stable-Baselines3."""
 
 import contextlib
 import sys
