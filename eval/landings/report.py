@@ -131,7 +131,7 @@ def count(study: Study, landings: pd.DataFrame) -> Results:
         facts=facts(study),
         draw=partial(_draw, drawn, fixed),
     )
-    return engine.count(described, landings)
+    return engine.evaluate(described, landings)
 
 
 def facts(study: Study) -> list[Row]:

@@ -117,7 +117,7 @@ def command(*, seed: Seed = 0, json: Flag = False, out: NewFolder = None) -> Non
         series="plant",
         facts=[engine.fact("load of this machine", name, load) for name, load in loads.items()],
     )
-    hand_over("benchmark", [engine.count(study, pd.DataFrame(measured))], json=json, out=out)
+    hand_over("benchmark", [engine.evaluate(study, pd.DataFrame(measured))], json=json, out=out)
 
 
 def _environment(kind: str, seed: int, plant_options: Mapping = MappingProxyType({}), **options: Any):
