@@ -34,7 +34,7 @@ from inclined_landing.eval.gap.model.columns import (
 )
 from inclined_landing.eval.gap.model.problem import Linearisation, Problem
 
-# These widths were chosen by hand on the development families of docs/evidence/hidden_effects.md.
+# These widths were chosen by hand.
 SPIKE = 0.35  # standard deviation of the spike, in negligible sizes: one of 230 exceeds such a size
 BETWEEN = 0.35  # least between-flight standard deviation, in negligible sizes: as of the spike
 LARGE = 4.0  # slab widths of the second, wider component of the slab: sizes have heavy tails

@@ -46,7 +46,7 @@ UNITS_OF = {
     **dict.fromkeys(REQUEST_CHANNELS, "1"),
 }
 ROLL_CHANNEL, YAW_CHANNEL = 3, 5
-# Powers of its command that a rotor's thrust goes with: measured propellers with batteries lie within.
+# Powers of its command that a rotor's thrust may go with, chosen by hand about the shipped vehicle's, 1.
 LEAST_ELASTICITY, MOST_ELASTICITY = 0.7, 1.4
 # Channels of effects -> channels of a flight.
 CHANNEL_GROUPS = {
