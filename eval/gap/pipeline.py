@@ -88,7 +88,7 @@ def diagnose(
 
     # How wrong is the vehicle before and after its correction by them, and does anything else repeat?
     correction = selection.corrected(found, values)
-    with ThreadPoolExecutor(1) as beside:  # which computes the one while MuJoCo flies for the other
+    with ThreadPoolExecutor(1) as beside:  # whose thread analyses the residual while MuJoCo flies
         analysis = beside.submit(analyse_residual, found, correction.vehicle)
         ahead = selection.open_loop_errors(found, correction, use.judged, values, plants)
     residual = dataclasses.replace(analysis.result(), error=ahead.error)
