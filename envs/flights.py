@@ -195,7 +195,7 @@ def record_flights(
 
 
 @dataclasses.dataclass
-class Steps:
+class Resimulation:
     """A flight at the engine's steps, T of them including the start.
 
     Row k of `commands` was applied from t[k] on; points and forces belong to the state in row k.
@@ -221,7 +221,7 @@ def place_platform(plant: Plant, flight: Track, time: float = 0.0) -> None:
     plant.set_motion([0], flight.motion, time)
 
 
-def resimulate(flight: Flight) -> Steps:
+def resimulate(flight: Flight) -> Resimulation:
     """Return a flight simulated again in the MuJoCo plant from its commands, at engine steps with all
     contacts.
 
@@ -254,4 +254,6 @@ def resimulate(flight: Flight) -> Steps:
     states, platforms, points, forces = (list(column) for column in zip(*rows))
     t = STEP * np.arange(len(rows))
     platform = None if flight.platform is None else np.array(platforms)
-    return Steps(t, np.array(states), np.concatenate([commands, commands[-1:]]), points, forces, platform)
+    return Resimulation(
+        t, np.array(states), np.concatenate([commands, commands[-1:]]), points, forces, platform
+    )

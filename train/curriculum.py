@@ -16,7 +16,14 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from inclined_landing.envs.tasks import setpoint, task_class, touchdown
-from inclined_landing.envs.tasks.landing import AIDED, EASIEST_GOAL_SIZE, GOAL_SIZE, LandingConditions
+from inclined_landing.envs.tasks.landing import (
+    AIDED,
+    CONTACT_LIMIT,
+    EASIEST_GOAL_SIZE,
+    GOAL_SIZE,
+    LEAVE_LIMIT,
+    LandingConditions,
+)
 from inclined_landing.models.base.errors import UserError, shown
 
 SETTLED = 0.1  # share of the learning rate at which a run that is ended by success settles
@@ -70,6 +77,13 @@ def initial_gamma(gamma: float | str) -> float:
     return rising_gamma(0) if gamma == RISING else float(gamma)
 
 
+class Milestone(NamedTuple):
+    """A point on the way of a curriculum that its figure shows."""
+
+    title: str
+    attributes: dict[str, Any]  # of the curriculum there
+
+
 class Curriculum:
     """No curriculum: the task itself with constant discount and a learning rate that falls linearly to zero.
 
@@ -86,7 +100,7 @@ class Curriculum:
     averaging = 0.0  # weight of the average of past weights in the policy that is evaluated and saved
     least_noise = 0.0  # standard deviation below which PPO's exploration noise does not fall
     explored_at = 0  # environment steps after which that was last raised; 0: never
-    moments: tuple[tuple[str, dict], ...] = (("the task", {}),)  # titles and attributes, for a figure
+    milestones: tuple[Milestone, ...] = (Milestone("the task", {}),)
 
     def __init__(self, gamma: float | str, the_task: Any = None):
         """gamma: a number, or RISING; the_task: conditions of training without a curriculum."""
@@ -102,10 +116,10 @@ class Curriculum:
     def stages(self) -> list[tuple[str, Any]]:
         """Return titles and conditions of several stages; none if the task has no conditions."""
         found = []
-        for title, attributes in self.moments:
+        for milestone in self.milestones:
             other = copy.copy(self)
-            vars(other).update(attributes)
-            found.append((title, other.conditions()))
+            vars(other).update(milestone.attributes)
+            found.append((milestone.title, other.conditions()))
         return [(title, conditions) for title, conditions in found if conditions is not None]
 
     def conditions(self) -> Any:
@@ -147,16 +161,19 @@ class Curriculum:
             return max(SETTLED, 1.0 - steps / self.settling)
         return max(0.0, 1.0 - steps / total)
 
-    def settled(self, steps: int) -> bool:
-        """Return whether the learning rate of a run ended by success has fallen to SETTLED."""
+    def may_plateau(self, steps: int) -> bool:
+        """Return whether evaluations of a run ended by success may stop rising from now on: at SETTLED."""
         return self.learning_rate_share(steps, None) <= SETTLED
 
     def is_ready(self, steps: int) -> bool:
         """Return whether evaluations on varied vehicles may end a run: before, their success still rises."""
-        return self.settled(steps)
+        return self.may_plateau(steps)
 
     def skip(self) -> None:
         """Go to the end of a curriculum that adapts to success, because the policy has learned the task."""
+
+    def use(self, rules: Rules) -> None:
+        """Adapt to success by these rules, if it adapts to success and has none of its own."""
 
     def learn_again(self) -> None:
         """Reset the learning rate, if it adapts to success, because the policy has stopped improving."""
@@ -206,7 +223,7 @@ class AdaptiveCurriculum(Curriculum):
     """
 
     name = "adaptive"
-    moments = tuple((f"level {level:g}", {"level": level}) for level in (0.0, 0.25, 0.6, 1.0))
+    milestones = tuple(Milestone(f"level {level:g}", {"level": level}) for level in (0.0, 0.25, 0.6, 1.0))
 
     def __init__(
         self,
@@ -264,6 +281,9 @@ class AdaptiveCurriculum(Curriculum):
         # At the full learning rate, until success on this vehicle passes the gate. Few of its variants may be
         # able to land.
         self.level, self.most_restarts = 1.0, USUAL.restarts
+
+    def use(self, rules: Rules) -> None:
+        self.settling, self.most_restarts, self.gate, self.floor = rules
 
     def learn_again(self) -> None:
         super().learn_again()
@@ -354,7 +374,10 @@ class BalancedCurriculum(AdaptiveCurriculum):
     def learning_rate_share(self, steps: int, total: int | None) -> float:
         return 1.0 if total is None else super().learning_rate_share(steps, total)
 
-    def settled(self, steps: int) -> bool:
+    def use(self, rules: Rules) -> None:
+        pass  # it has the gate and floor of drawn vehicles, and READY and PATIENT instead of restarts
+
+    def may_plateau(self, steps: int) -> bool:
         return self.full_at is not None and steps >= self.full_at + PATIENT
 
     def is_ready(self, steps: int) -> bool:
@@ -385,11 +408,11 @@ class PaperCurriculum(Curriculum):
     """
 
     name = "paper"
-    moments = (  # of its schedule, at the usual length of episodes
-        ("0 k steps", {"episodes": 0, "tilting_episodes": 0, "steps": 0}),
-        ("390 k steps", {"episodes": 5000, "tilting_episodes": 0, "steps": 390_000}),
-        ("700 k steps", {"episodes": 9000, "tilting_episodes": 3000, "steps": 700_000}),
-        ("3 M steps", {"episodes": 19_000, "tilting_episodes": 6000, "steps": 3_000_000}),
+    milestones = (  # at the usual length of episodes
+        Milestone("0 k steps", {"episodes": 0, "tilting_episodes": 0, "steps": 0}),
+        Milestone("390 k steps", {"episodes": 5000, "tilting_episodes": 0, "steps": 390_000}),
+        Milestone("700 k steps", {"episodes": 9000, "tilting_episodes": 3000, "steps": 700_000}),
+        Milestone("3 M steps", {"episodes": 19_000, "tilting_episodes": 6000, "steps": 3_000_000}),
     )
 
     def __init__(self):
@@ -424,7 +447,7 @@ class PaperCurriculum(Curriculum):
     def learning_rate_share(self, steps: int, total: int | None) -> float:
         return 1.0
 
-    def settled(self, steps: int) -> bool:
+    def may_plateau(self, steps: int) -> bool:
         return True
 
     def log(self) -> dict[str, float]:
@@ -472,8 +495,8 @@ class TouchdownCurriculum(Curriculum):
 
     def stage(self) -> touchdown.TouchdownConditions:
         return touchdown.TouchdownConditions(
-            contact_limit=8,
-            leave_limit=0.3,
+            contact_limit=CONTACT_LIMIT,
+            leave_limit=LEAVE_LIMIT,
             out_of_bounds_penalty=150.0,
             steep=0.3,
             around_edge=0.3,
@@ -514,14 +537,8 @@ def make_curriculum(
         known = " or ".join([", ".join(kind.curricula[:-1]), kind.curricula[-1]][-len(kind.curricula) :])
         raise UserError(f"unknown curriculum {name!r} for task {task}: it must be {known}")
     curriculum = Curriculum(gamma, kind.training_conditions) if name == "none" else _CURRICULA[name](gamma)
-    # The balanced one has gate and floor of drawn vehicles already, and ends by READY and PATIENT.
-    if (
-        drawn
-        and isinstance(curriculum, AdaptiveCurriculum)
-        and not isinstance(curriculum, BalancedCurriculum)
-    ):
-        curriculum.gate, curriculum.floor = DRAWN.gate, DRAWN.floor
-        curriculum.settling, curriculum.most_restarts = DRAWN.settling, DRAWN.restarts
+    if drawn:
+        curriculum.use(DRAWN)
     if without:
         curriculum.leave_out([part.strip() for part in without.split(",")])
     return curriculum

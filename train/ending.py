@@ -89,7 +89,9 @@ class Ending:
 
     def _rises_no_more(self) -> bool:
         """Return whether the last evaluations at the lowest learning rate have stopped rising."""
-        return _rises_no_more([e["score"] for e in self.evaluations if self.curriculum.settled(e["steps"])])
+        return _rises_no_more(
+            [e["score"] for e in self.evaluations if self.curriculum.may_plateau(e["steps"])]
+        )
 
 
 def _rises_no_more(scores: list[float]) -> bool:

@@ -10,12 +10,12 @@ from scipy import stats
 
 from inclined_landing.eval.landings.landing import OUTCOMES, RESULTS, Landings, simulate
 from inclined_landing.eval.landings.parameters import known_parameters, touchdown_states
-from inclined_landing.eval.landings.study import Levels, Range, Study
+from inclined_landing.eval.landings.study import LandingStudy, Levels, Range
 from inclined_landing.models.attitude import STATE_SIZE
 
 
 @functools.lru_cache(maxsize=2)
-def design(study: Study) -> tuple[dict[str, np.ndarray], np.ndarray]:
+def design(study: LandingStudy) -> tuple[dict[str, np.ndarray], np.ndarray]:
     """Return the parameters by name, arrays (n,) [SI], and the index (n,) of the start state.
 
     Parameters that are not in the study have their defaults. A factorial iterates over its levels in the
@@ -49,7 +49,7 @@ def _quantile(p: Levels | Range, u: np.ndarray) -> np.ndarray:
     return p.low + (p.high - p.low) * u
 
 
-def run_chunk(study: Study, rows: range) -> pa.Table:
+def run_chunk(study: LandingStudy, rows: range) -> pa.Table:
     """Return the landings with these numbers, simulated by one thread.
 
     The result depends only on the arguments, and a landing does not depend on other rows.
@@ -67,7 +67,7 @@ def run_chunk(study: Study, rows: range) -> pa.Table:
     return _table(study, rows, p, start[rows], landings)
 
 
-def _table(study: Study, rows: range, p: dict, start: np.ndarray, landings: Landings) -> pa.Table:
+def _table(study: LandingStudy, rows: range, p: dict, start: np.ndarray, landings: Landings) -> pa.Table:
     """Return the columns landing, start, parameters, outcome, RESULTS [SI]; units are in the metadata."""
     numbers, outcome = pa.array(rows, pa.int64()), [OUTCOMES[k] for k in landings.outcome]
     columns = {

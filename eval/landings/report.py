@@ -16,7 +16,7 @@ from inclined_landing.eval.base.style import save_figure
 from inclined_landing.eval.landings import maps, sensitivity
 from inclined_landing.eval.landings.landing import OUTCOMES
 from inclined_landing.eval.landings.parameters import known_parameters
-from inclined_landing.eval.landings.study import Levels, Range, Study
+from inclined_landing.eval.landings.study import LandingStudy, Levels, Range
 from inclined_landing.eval.study import engine
 from inclined_landing.eval.study.engine import Results, View, fact
 
@@ -104,7 +104,7 @@ class Boundaries(View):
                         yield labels | about | {"value": crossing["at"], **above}
 
 
-def count(study: Study, landings: pd.DataFrame) -> Results:
+def count(study: LandingStudy, landings: pd.DataFrame) -> Results:
     """Return the statistics of a study's landings, from a table with parameters, results and `outcome`."""
     known = known_parameters(study.vehicle)
     landings = landings.assign(**{name: landings["outcome"] == name for name in OUTCOMES})
@@ -134,7 +134,7 @@ def count(study: Study, landings: pd.DataFrame) -> Results:
     return engine.evaluate(described, landings)
 
 
-def facts(study: Study) -> list[Row]:
+def facts(study: LandingStudy) -> list[Row]:
     """Return the parameters of a study in report units, and the settings of the simulation."""
     found, given = [fact("study", "question", study.question)], {p.name: p for p in study.parameters}
     for name, entry in known_parameters(study.vehicle).items():
@@ -170,7 +170,7 @@ def _draw(drawn: Mapping[tuple[str, str], maps.Map], fixed: dict[str, float], ou
     return captions
 
 
-def _remarks(study: Study, results: Results) -> list[str]:
+def _remarks(study: LandingStudy, results: Results) -> list[str]:
     """Return sentences on the shares of the outcomes and the parameters that determine rest."""
     parts = []
     for measure in SHARES:

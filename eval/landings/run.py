@@ -22,7 +22,7 @@ from inclined_landing.envs.shared.progress import stages
 from inclined_landing.envs.tasks import hover_states
 from inclined_landing.eval.landings import design, landing
 from inclined_landing.eval.landings.parameters import known_parameters
-from inclined_landing.eval.landings.study import Study
+from inclined_landing.eval.landings.study import LandingStudy
 from inclined_landing.models.base import storage
 from inclined_landing.models.base.errors import UserError
 
@@ -30,7 +30,7 @@ RECORD, RESULTS, PARTS = "study.json", "results.parquet", "parts"
 CHUNK = 500  # landings
 
 
-def begun(wanted: Study, out: Path, resume: bool) -> Study:
+def begun(wanted: LandingStudy, out: Path, resume: bool) -> LandingStudy:
     """Return the study with its start states, written to its folder or read from there."""
     if resume:
         storage.remove_parts(out)
@@ -47,13 +47,13 @@ def begun(wanted: Study, out: Path, resume: bool) -> Study:
     return wanted
 
 
-def landed(study: Study, out: Path, engine: str, address: str | None) -> pa.Table:
+def landed(study: LandingStudy, out: Path, engine: str, address: str | None) -> pa.Table:
     """Return all landings of a study; those that are not in the folder are simulated."""
     table = _read(out / RESULTS, range(study.total))
     return _simulated(study, out, engine, address) if table is None else table
 
 
-def with_starts(study: Study) -> Study:
+def with_starts(study: LandingStudy) -> LandingStudy:
     """Return the study with the states at which its policy enters the goal box, from the frozen grid.
 
     Raises UserError if the policy is not for landing or never reaches the box.
@@ -79,7 +79,7 @@ def with_starts(study: Study) -> Study:
     return dataclasses.replace(study, starts=tuple(tuple(map(float, row)) for row in entries))
 
 
-def _resumed(wanted: Study, out: Path) -> Study:
+def _resumed(wanted: LandingStudy, out: Path) -> LandingStudy:
     """Return the study to continue, including its start states."""
     record = storage.read_json(out / RECORD, "record")
     try:
@@ -106,7 +106,7 @@ def _read(path: Path, landings: range) -> pa.Table | None:
     return table if set(table.column_names) == known and np.array_equal(numbers, landings) else None
 
 
-def _simulated(study: Study, out: Path, engine: str, address: str | None) -> pa.Table:
+def _simulated(study: LandingStudy, out: Path, engine: str, address: str | None) -> pa.Table:
     """Simulate the missing chunks, and write and return all landings."""
     chunks = [range(k, min(k + CHUNK, study.total)) for k in range(0, study.total, CHUNK)]
     parts = {rows: out / PARTS / f"{k:05d}.parquet" for k, rows in enumerate(chunks)}

@@ -39,7 +39,7 @@ class Varied(Table, frozen=True):
     deviation: Annotated[float, Meta(gt=0, le=1e300)] | None = None
 
 
-class Start(Table, frozen=True):
+class StudyStart(Table, frozen=True):
     """Table [start]: where landings begin, if not just above the slope."""
 
     policy: str | None = None
@@ -62,7 +62,7 @@ class StudyFile(Table, frozen=True):
     samples: Annotated[int, Meta(ge=1, le=MOST_LANDINGS)] | None = None
     seed: Annotated[int, Meta(ge=0, le=2**63 - 1)] = 0
     maps: tuple[tuple[str, str], ...] = ()
-    start: Start = Start()
+    start: StudyStart = StudyStart()
     simulation: Simulation = Simulation()
 
 
@@ -87,7 +87,7 @@ class Range:
 
 
 @dataclasses.dataclass(frozen=True)
-class Study:
+class LandingStudy:
     """A study with all defaults filled in: everything on which its landings depend."""
 
     title: str
@@ -130,7 +130,7 @@ def shipped() -> dict[str, Path]:
     return {path.stem: path for path in sorted(folder.glob("*.toml"))}
 
 
-def read_study(name: str | Path, vehicle: Vehicle | None = None) -> Study:
+def read_study(name: str | Path, vehicle: Vehicle | None = None) -> LandingStudy:
     """Read a study file, or a shipped study by name, for a vehicle (default: the shipped one).
 
     Raises UserError, naming file and entry, for anything that is wrong.
@@ -145,7 +145,7 @@ def read_study(name: str | Path, vehicle: Vehicle | None = None) -> Study:
         raise UserError(f"study {path}: {error}") from error
 
 
-def _resolved(file: StudyFile, vehicle: Vehicle) -> Study:
+def _resolved(file: StudyFile, vehicle: Vehicle) -> LandingStudy:
     """Return the study of a file in SI units; raises UserError if its entries contradict each other."""
     hypercube, timestep = file.sampling == "latin-hypercube", file.simulation.timestep
     if hypercube != (file.samples is not None):
@@ -163,7 +163,7 @@ def _resolved(file: StudyFile, vehicle: Vehicle) -> Study:
         if file.start.policy and known[name].at_touchdown:
             raise UserError(f"{name} cannot be set in a study that starts where a policy hands over")
         parameters.append(_parameter(known[name], entry, hypercube))
-    study = Study(
+    study = LandingStudy(
         title=shown(file.title.strip(), 200),
         question=file.question.strip(),
         sampling=file.sampling,

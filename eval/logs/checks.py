@@ -137,7 +137,7 @@ def _hover_commands(logs: Sequence[FlightLog]) -> tuple[list[float], str]:
     return plain, "PWM"
 
 
-def hover_command(log: FlightLog, moves: motion.Motion | None = None) -> float:
+def hover_command(log: FlightLog, moves: motion.LoggedMotion | None = None) -> float:
     """Return the command at a specific force of one g, from a linear fit over the rows in the air.
 
     moves: the log's `motion`, where it is known.

@@ -50,7 +50,7 @@ CLEARANCE = 0.1  # m above the lowest row, from which a vehicle that climbs is i
 
 
 @dataclasses.dataclass(frozen=True)
-class Motion:
+class LoggedMotion:
     """Smoothed motion of one flight in the air, on a grid of RATE; complex: x + iy.
 
     Each field is a list of arrays, one for each stretch with the motors on and without gaps.
@@ -69,16 +69,16 @@ class Motion:
     force: list[np.ndarray]  # specific force (m/s2)
 
 
-def motion(log: FlightLog) -> Motion:
+def motion(log: FlightLog) -> LoggedMotion:
     """Return the stretches with the motors on, without gaps, that last at least SHORTEST."""
-    found: dict[str, list[np.ndarray]] = {field.name: [] for field in dataclasses.fields(Motion)}
+    found: dict[str, list[np.ndarray]] = {field.name: [] for field in dataclasses.fields(LoggedMotion)}
     for piece in log.pieces(SHORTEST):
         on = ~(piece.command[:, 0] <= MOTORS_OFF) & ~standing(piece)
         for a, b in runs(on):
             if b - a > 1 and piece.t[b - 1] - piece.t[a] >= SHORTEST:
                 for name, values in _motion(piece.rows(slice(a, b)).resampled(RATE)).items():
                     found[name].append(values)
-    return Motion(**found)
+    return LoggedMotion(**found)
 
 
 def standing(log: FlightLog) -> np.ndarray:
@@ -121,7 +121,7 @@ def _still(piece: FlightLog) -> np.ndarray:
 
 
 def _motion(log: FlightLog) -> dict[str, np.ndarray]:
-    """Return the fields of `Motion` for one stretch on a grid of RATE."""
+    """Return the fields of `LoggedMotion` for one stretch on a grid of RATE."""
 
     def smooth(value: np.ndarray, order: int = 0) -> np.ndarray:
         rows = int(WINDOW * RATE) | 1
@@ -155,7 +155,7 @@ def _horizontal(vector: np.ndarray) -> np.ndarray:
     return vector[:, 0] + 1j * vector[:, 1]
 
 
-def in_air(log: FlightLog, moves: Motion) -> np.ndarray:
+def in_air(log: FlightLog, moves: LoggedMotion) -> np.ndarray:
     """Return which rows of all stretches (m,) of a log are in the air.
 
     These are all rows of a log that begins and ends in the air: its height stays within 2 CLEARANCE, and the
@@ -170,7 +170,7 @@ def in_air(log: FlightLog, moves: Motion) -> np.ndarray:
     return height > lowest + CLEARANCE
 
 
-def check(log: FlightLog, moves: Motion) -> Iterator[Finding]:
+def check(log: FlightLog, moves: LoggedMotion) -> Iterator[Finding]:
     """Yield findings on the consistency between the columns of one flight; moves: its `motion`."""
     if not moves.pwm:
         yield limit(
@@ -196,7 +196,7 @@ def check(log: FlightLog, moves: Motion) -> Iterator[Finding]:
     yield from _check_velocity(moves)
 
 
-def _check_clock(log: FlightLog, moves: Motion) -> Iterator[Finding]:
+def _check_clock(log: FlightLog, moves: LoggedMotion) -> Iterator[Finding]:
     """Yield a finding if attitude and acceleration agree, but not at the rate of the log's rows.
 
     This is checked for logs with few rows per second, or with accelerations far above those from the
@@ -215,7 +215,7 @@ def _check_clock(log: FlightLog, moves: Motion) -> Iterator[Finding]:
             yield refuse("t", f"{text}, not {1 / log.rate:.2g} s: state the unit of time")
 
 
-def _check_axes(moves: Motion) -> Iterator[Finding]:
+def _check_axes(moves: LoggedMotion) -> Iterator[Finding]:
     """Yield findings if one axis has another scale than the others."""
     yaw = np.nan_to_num(np.concatenate(moves.attitude)[:, 2])
     tilt = np.concatenate(moves.tilt)
@@ -243,7 +243,7 @@ def _check_axes(moves: Motion) -> Iterator[Finding]:
         )
 
 
-def _check_swapped_height(moves: Motion) -> Iterator[Finding]:
+def _check_swapped_height(moves: LoggedMotion) -> Iterator[Finding]:
     """Yield a finding if x or y follows the thrust command and z does not."""
     along = {name: [part[:, k] for part in moves.acceleration] for k, name in enumerate("xyz")}
     if _best_lag(moves.pwm, along.pop("z"))[1] > 0.3:
@@ -259,7 +259,7 @@ def _check_swapped_height(moves: Motion) -> Iterator[Finding]:
 _ORDERS = (("qw, qx, qy, qz", "x, y, z, w", (3, 0, 1, 2)), ("qx, qy, qz, qw", "w, x, y, z", (1, 2, 3, 0)))
 
 
-def _check_quaternion(moves: Motion) -> Iterator[Finding]:
+def _check_quaternion(moves: LoggedMotion) -> Iterator[Finding]:
     """Yield a finding if the attitude is consistent with the quaternion's numbers in another order."""
     yaw_roll_pitch = np.concatenate(moves.attitude)[:, [2, 0, 1]]
     numbers = Rotation.from_euler("ZXY", yaw_roll_pitch).as_quat(scalar_first=True)
@@ -298,7 +298,7 @@ def _check_standing(log: FlightLog) -> Iterator[Finding]:
         yield info("cmd_thrust_pwm", f"{text}; this does not count as flight")
 
 
-def _check_thrust(moves: Motion) -> Iterator[Finding]:
+def _check_thrust(moves: LoggedMotion) -> Iterator[Finding]:
     if np.concatenate(moves.force).std() < 0.3:
         return
     lag, correlation = _best_lag(moves.pwm, moves.force)
@@ -316,7 +316,7 @@ def _check_thrust(moves: Motion) -> Iterator[Finding]:
         yield from _check_delay("thrust", "cmd_thrust_pwm", lag, correlation)
 
 
-def _check_attitude(moves: Motion) -> Iterator[Finding]:
+def _check_attitude(moves: LoggedMotion) -> Iterator[Finding]:
     pair = _compare_signals(moves.tilt, moves.thrust_tilt)
     if pair is None:
         yield limit("roll, pitch", "too little tilt to check the signs and the unit of roll and pitch")
@@ -324,7 +324,7 @@ def _check_attitude(moves: Motion) -> Iterator[Finding]:
     yield from _check_convention(pair, "roll and pitch", "the horizontal acceleration")
 
 
-def _check_attitude_commands(moves: Motion) -> Iterator[Finding]:
+def _check_attitude_commands(moves: LoggedMotion) -> Iterator[Finding]:
     commanded_tilt, tilt = moves.commanded_tilt, moves.tilt
     if all(np.isnan(part.real).all() and np.isnan(part.imag).all() for part in commanded_tilt):
         return
@@ -342,7 +342,7 @@ def _check_attitude_commands(moves: Motion) -> Iterator[Finding]:
         yield from _check_delay("attitude", "cmd_roll, cmd_pitch", lag, pair.agreement)
 
 
-def _check_velocity(moves: Motion) -> Iterator[Finding]:
+def _check_velocity(moves: LoggedMotion) -> Iterator[Finding]:
     if not moves.logged_velocity:
         return
     pair = _compare_signals(

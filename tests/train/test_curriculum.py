@@ -155,7 +155,11 @@ def test_in_a_run_that_ends_by_success_the_learning_rate_settles_at_a_tenth():
         c.advance(100_000)
     shares = [c.learning_rate_share(100_000 + k * c.settling, None) for k in (0, 0.5, 1, 10)]
     assert shares == pytest.approx([1.0, 0.5, 0.1, 0.1])
-    assert [c.settled(100_000 + steps) for steps in (0, c.settling // 2, c.settling)] == [False, False, True]
+    assert [c.may_plateau(100_000 + steps) for steps in (0, c.settling // 2, c.settling)] == [
+        False,
+        False,
+        True,
+    ]
     assert Curriculum(0.97).learning_rate_share(c.settling // 2, None) == pytest.approx(0.5)
 
 
@@ -219,7 +223,7 @@ def test_the_learning_rate_falls_with_the_steps_of_a_run_alone_and_success_is_wa
     assert [c.learning_rate_share(steps, None) for steps in later] == [1.0, 1.0, 1.0]
     assert c.learning_rate_share(600_000, 1_000_000) == 0.5
     assert [c.is_ready(steps) for steps in later] == [False, True, True]
-    assert [c.settled(steps) for steps in later] == [False, False, True]
+    assert [c.may_plateau(steps) for steps in later] == [False, False, True]
 
 
 @pytest.mark.parametrize(

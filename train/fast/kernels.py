@@ -37,7 +37,7 @@ class FixedNetwork(NamedTuple):
     activations: np.ndarray  # memory for one block of all layers' activations
 
 
-class Learner(NamedTuple):
+class LearningNetwork(NamedTuple):
     """A network that learns."""
 
     weights: np.ndarray  # (w,) float32
@@ -327,7 +327,7 @@ def update(
 
     counter (1,) int64, initially 0, NOBODY if the other thread has failed.
     norms (2, 2) float64, of even and odd minibatches.
-    actor, critic: each a `Learner`.
+    actor, critic: each a `LearningNetwork`.
     order: (epochs, N) uint64, the order of the samples.
     statistics: (minibatches, 5) float64, STATISTICS.
     """

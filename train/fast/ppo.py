@@ -49,10 +49,10 @@ class _FlatNetwork:
         """Return the network for evaluation, with its own buffers."""
         return kernels.FixedNetwork(self.weights, self.widths, self.activations())
 
-    def learner(self, optimizer: torch.optim.Adam) -> kernels.Learner:
+    def learner(self, optimizer: torch.optim.Adam) -> kernels.LearningNetwork:
         """Return the network for training, with the optimizer's moments and its own buffers."""
         memory = self.activations(), self.activations(), np.empty_like(self.weights)
-        return kernels.Learner(self.weights, self.widths, *self.moments(optimizer), *memory)
+        return kernels.LearningNetwork(self.weights, self.widths, *self.moments(optimizer), *memory)
 
     def moments(self, optimizer: torch.optim.Adam) -> tuple[np.ndarray, np.ndarray]:
         """Return Adam's two moments (2, w) and its number of steps (1,) so far."""
