@@ -15,6 +15,7 @@ from __future__ import annotations
 
 import numpy as np
 
+from inclined_landing.envs.approach import ABOVE, CLEAR, DAMPING, LEAST_LIFT, SINK, STIFFNESS, limited_error
 from inclined_landing.envs.tasks import StepContext
 from inclined_landing.envs.tasks.touchdown import InclinedTouchdown
 from inclined_landing.models import surface
@@ -26,16 +27,12 @@ PRICE = 1e6  # cost of a second, in units of the integral of the squared snap [m
 CHECKED = np.linspace(0.1, 1.0, 8)  # shares of the duration at which a trajectory is checked
 LIFT = (0.3, 1.7)  # least and largest thrust of a trajectory, in weights
 # A trajectory ends DEPTH m below the height at rest, so that the vehicle does not hover above the platform,
-# with SINK m/s into it, and uphill with gravity along the slope times UPHILL s, which a bounce takes back.
-DEPTH, SINK, UPHILL = 0.02, 0.25, 0.08
+# with SINK into it, and uphill with gravity along the slope times UPHILL s, which a bounce takes back.
+DEPTH, UPHILL = 0.02, 0.08
 SLACK = 0.01  # a trajectory may pass this far [m] below its lower limit without being refused
 CONE, APEX = 0.5, 0.1  # that limit rises by CONE m per m beyond APEX m from the platform's centre
 EDGE = 0.1  # m, to which it extends beyond the edges of the slab
-# Without a trajectory the vehicle flies to a point ABOVE m along the normal, and downhill by gravity along
-# the slope times DOWNHILL s2. It stays CLEAR m over the platform's plane, pulled by STIFFNESS 1/s2 times a
-# distance of at most FARTHEST m, with a damping in 1/s.
-ABOVE, DOWNHILL, CLEAR = 0.45, 0.08, 0.35
-STIFFNESS, DAMPING, FARTHEST = 9.0, 5.0, 0.6
+DOWNHILL = 0.08  # s2: the approach leads to a point that is downhill by gravity along the slope times this
 AHEAD = 0.06  # s ahead of now, at which a trajectory is read
 LARGEST = 8.0  # m/s2, limit of the lead for the attitude loop along each axis
 SPOOL = 0.065  # s, lead of the thrust for the lag of the motors
@@ -75,9 +72,7 @@ class Descent:
         (push, jerk, snap), clear = self._trajectories(np.array([place, velocity, now, jerk]), end, normal)
 
         first = (self._rest + ABOVE) * normal + DOWNHILL * along
-        behind = first - place
-        far = np.linalg.norm(behind, axis=1, keepdims=True)
-        behind *= np.minimum(1.0, FARTHEST / np.maximum(far, 1e-9))
+        behind = limited_error(first, place)
         height = (place * normal).sum(axis=1) - self._rest
         behind += np.maximum(0.0, CLEAR - height)[:, None] * normal
         there = STIFFNESS * behind - DAMPING * velocity
@@ -85,7 +80,7 @@ class Descent:
         change = (self._lead + 1.0 / self._bandwidth) * jerk + self._lead / self._bandwidth * snap
         ahead = np.where(clear[:, None], push + np.clip(change, -LARGEST, LARGEST), there) + drag - down
         lift = np.where(clear[:, None], push + SPOOL * jerk, there) + drag - down
-        ahead[:, Z] = np.maximum(ahead[:, Z], 0.3 * self._gravity)
+        ahead[:, Z] = np.maximum(ahead[:, Z], LEAST_LIFT * self._gravity)
         wanted = {
             "thrust": self._hover * np.linalg.norm(lift, axis=1) / self._gravity,
             "roll": np.arctan2(-ahead[:, Y], ahead[:, Z]) / self._gain,

@@ -17,6 +17,7 @@ from __future__ import annotations
 
 import numpy as np
 
+from inclined_landing.envs.approach import ABOVE, CLEAR, DAMPING, LEAST_LIFT, SINK, STIFFNESS, limited_error
 from inclined_landing.envs.tasks import StepContext
 from inclined_landing.models import geometry, surface
 from inclined_landing.models.attitude import VX, VZ, YAW, Z
@@ -25,17 +26,12 @@ from inclined_landing.models.scene import compile_scene
 from inclined_landing.models.vehicle import Vehicle
 
 # Chosen by hand on starts that no scenario has.
-ABOVE = 0.45  # m over the platform, where the last way begins
-CLEAR = 0.35  # m over the platform's plane, that it keeps until then
-WAY = 0.9  # s it takes
-SINK = 0.25  # m/s into the platform at its end
-CUT = 0.015  # m over the height at rest
-NEAR, SLOW = 0.12, 0.35  # m and m/s from where the last way begins
-STIFFNESS, DAMPING = 9.0, 5.0  # 1/s2 and 1/s, of the errors that are steered against
-FARTHEST = 0.6  # m of error that is steered against at once
-LEAST = 0.15  # s: shorter ways are not planned anew
-_CALMING = 0.01  # of a normal that tilts to and fro, per period
-_FILTER = 0.3  # of the platform's differenced acceleration, per period
+WAY = 0.9  # s, duration of the final trajectory
+CUT = 0.015  # m over the height at rest, below which the motors stop
+NEAR, SLOW = 0.12, 0.35  # m and m/s: the final trajectory begins within these of the point above the platform
+LEAST = 0.15  # s, least time for which the rest of the trajectory is planned
+_CALMING = 0.01  # share of each period's normal in its average, for platforms that tilt to and fro
+_FILTER = 0.3  # share of each period's difference quotient in the filtered acceleration of the platform
 
 
 class Planner:
@@ -86,9 +82,7 @@ class Planner:
         self._follow(~waiting, normal)
 
         target = np.where(waiting[:, None], first, self._way[0])
-        behind = target - place
-        far = np.linalg.norm(behind, axis=1, keepdims=True)
-        behind *= np.minimum(1.0, FARTHEST / np.maximum(far, 1e-9))
+        behind = limited_error(target, place)
         height = (place * normal).sum(axis=1) - self._rest
         behind += (waiting * np.maximum(0.0, CLEAR - height))[:, None] * normal
         wanted = STIFFNESS * behind + DAMPING * (np.where(waiting[:, None], 0.0, self._way[1]) - velocity)
@@ -136,7 +130,7 @@ class Planner:
     def _commands(self, wanted: np.ndarray, yaw: np.ndarray) -> np.ndarray:
         """Return commands (n, 4) for accelerations (n, 3) [m/s2]."""
         thrust = wanted + [0.0, 0.0, self._gravity]
-        thrust[:, Z] = np.maximum(thrust[:, Z], 0.3 * self._gravity)
+        thrust[:, Z] = np.maximum(thrust[:, Z], LEAST_LIFT * self._gravity)
         rate = (thrust - self._thrust) / self._period
         self._thrust = thrust
         ahead = thrust + np.clip(self._lead * rate, -0.5 * self._gravity, 0.5 * self._gravity)

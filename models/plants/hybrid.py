@@ -132,6 +132,21 @@ class _Results(NamedTuple):
     in_engine: np.ndarray  # (n,) bool
 
 
+class _Gaps(NamedTuple):
+    """Distances [m] of a vehicle's centre to platform and floor, and its radius, 0 if they include it."""
+
+    platform: float
+    floor: float
+    radius: float
+
+
+class _Ways(NamedTuple):
+    """By how much [m] a vehicle's motion brings it nearer to platform and floor at most."""
+
+    platform: float
+    floor: float
+
+
 class HybridPlant(MujocoPlant):
     """A `MujocoPlant` in which vehicles out of reach of every surface fly by the equations.
 
@@ -250,7 +265,7 @@ def _fly(ids, first, last, numbers, period, vehicles, platforms, engine, results
             px, py, pz = platform[i, VX], platform[i, VY], platform[i, VZ]
             approach = dt * motions.courses[i, MOST]
             known = approach == 0.0
-        over = px, py, pz
+        carrier = px, py, pz
         ambient[forces.TIME], ambient[forces.VOLTAGE] = time, math.nan
         ambient[forces.INCLINATION], ambient[forces.PRESENT] = platform[i, PITCH], present
         ambient[forces.AZIMUTH] = platform[i, YAW]
@@ -264,20 +279,20 @@ def _fly(ids, first, last, numbers, period, vehicles, platforms, engine, results
         if out_of_reach and solvable and (constant or _is_held(period.commands, i)):
             # All of the period at once, where there is room for that.
             _take_command(u, period.commands, step, i, vehicles.command_range)
-            here, velocity = (y[X], y[Y], y[Z]), (y[VX], y[VY], y[VZ])
-            before, exact, strayed = _sizes(velocity, over, length), False, substeps * approach
+            place, velocity = (y[X], y[Y], y[Z]), (y[VX], y[VY], y[VZ])
+            before, exact, strayed = _ways(velocity, carrier, length), False, substeps * approach
             # Few are so near that the distance itself is needed.
-            distance = geometry.least_distance(here[0], here[1], here[2], poses[0], platforms.reach)
-            clear = distance - vehicles.keep_out, here[2], radius
-            if not _has_room(clear, strayed, before):
-                distance, exact = _distance(here, i, platforms, poses, flown, at, vehicles.fleet), True
-                clear = distance - vehicles.keep_out, here[2], radius
-            if _has_room(clear, strayed, before) and held.fly(s, v, length, _LARGEST_ANGLE, _TURN / dt):
-                moved = _moved(velocity, y, over, length)
-                if not (exact or _has_room(clear, strayed, moved)):
-                    distance = _distance(here, i, platforms, poses, flown, at, vehicles.fleet)
-                    clear = distance - vehicles.keep_out, here[2], radius
-                if _has_room(clear, strayed, moved):
+            distance = geometry.least_distance(place[0], place[1], place[2], poses[0], platforms.reach)
+            gaps = _Gaps(distance - vehicles.keep_out, place[2], radius)
+            if not _has_room(gaps, strayed, before):
+                distance, exact = _distance(place, i, platforms, poses, flown, at, vehicles.fleet), True
+                gaps = _Gaps(distance - vehicles.keep_out, place[2], radius)
+            if _has_room(gaps, strayed, before) and held.fly(s, v, length, _LARGEST_ANGLE, _TURN / dt):
+                moved = _moved(velocity, y, carrier, length)
+                if not (exact or _has_room(gaps, strayed, moved)):
+                    distance = _distance(place, i, platforms, poses, flown, at, vehicles.fleet)
+                    gaps = _Gaps(distance - vehicles.keep_out, place[2], radius)
+                if _has_room(gaps, strayed, moved):
                     step = substeps
                 else:
                     equations.pack_state(state, i, y)
@@ -288,19 +303,19 @@ def _fly(ids, first, last, numbers, period, vehicles, platforms, engine, results
             # Distance to spare > dt |w| before the step, and > dt (max(|w|, |w'|) + |w' - w|) after it, w the
             # velocity relative to the platform's centre, or to the floor.
             t, velocity, height = step * dt, (y[VX], y[VY], y[VZ]), y[Z]
-            here = y[X] - t * px, y[Y] - t * py, y[Z] - t * pz
-            before, strayed = _sizes(velocity, over, dt), (step + 1) * approach
-            doubtful = 1.5 * before[0], 1.5 * before[1]
-            distance = geometry.least_distance(here[0], here[1], here[2], poses[0], platforms.reach)
-            clear, exact = (distance - vehicles.keep_out, height, radius), False
-            if not _has_room(clear, strayed, doubtful):
-                distance, exact = _distance(here, i, platforms, poses, flown, at, vehicles.fleet), True
-                clear = distance - vehicles.keep_out, height, radius
-            if not (known or _has_room(clear, strayed, before)):
+            place = y[X] - t * px, y[Y] - t * py, y[Z] - t * pz
+            before, strayed = _ways(velocity, carrier, dt), (step + 1) * approach
+            doubtful = _Ways(1.5 * before.platform, 1.5 * before.floor)
+            distance = geometry.least_distance(place[0], place[1], place[2], poses[0], platforms.reach)
+            gaps, exact = _Gaps(distance - vehicles.keep_out, height, radius), False
+            if not _has_room(gaps, strayed, doubtful):
+                distance, exact = _distance(place, i, platforms, poses, flown, at, vehicles.fleet), True
+                gaps = _Gaps(distance - vehicles.keep_out, height, radius)
+            if not (known or _has_room(gaps, strayed, before)):
                 approach, known = dt * strays(i, time, present, motions, rates), True
                 strayed = (step + 1) * approach
             rate = y[equations.RATES], y[equations.RATES + 1], y[equations.RATES + 2]
-            flat = moving and not _has_room(clear, strayed, doubtful)
+            flat = moving and not _has_room(gaps, strayed, doubtful)
             if flat:  # how flat the vehicle is counts, and then how it turns
                 (sr, cr), (sp, cp), (sy, cy) = (
                     sine_cosine(y[ROLL]),
@@ -308,24 +323,24 @@ def _fly(ids, first, last, numbers, period, vehicles, platforms, engine, results
                     sine_cosine(y[YAW]),
                 )
                 axis = cy * sp + sy * sr * cp, sy * sp - cy * sr * cp, cr * cp
-                distance = _hull_distance(here, axis, i, platforms, poses, vehicles, lowered)
+                distance = _hull_distance(place, axis, i, platforms, poses, vehicles, lowered)
                 below = geometry.reach_against(axis[2], vehicles.fleet.hulls[vehicles.size[i]], lowered)
-                clear = distance - vehicles.keep_out, height - below, 0.0
-            if not (_has_room(clear, strayed, before) and _as_exact(y, dt)):
+                gaps = _Gaps(distance - vehicles.keep_out, height - below, 0.0)
+            if not (_has_room(gaps, strayed, before) and _as_exact(y, dt)):
                 break
             if not (solvable and held.fly(s, v, dt, _LARGEST_ANGLE, _TURN / dt)):
                 equations.rk4(s, v, dt)
-            moved = _moved(velocity, y, over, dt)
+            moved = _moved(velocity, y, carrier, dt)
             if flat:
                 turned = radius * _turned(rate, y, dt)
-                moved = moved[0] + turned, moved[1] + turned
-            if not (exact or _has_room(clear, strayed, moved)):
-                distance = _distance(here, i, platforms, poses, flown, at, vehicles.fleet)
-                clear = distance - vehicles.keep_out, height, radius
-            if not (known or _has_room(clear, strayed, moved)):
+                moved = _Ways(moved.platform + turned, moved.floor + turned)
+            if not (exact or _has_room(gaps, strayed, moved)):
+                distance = _distance(place, i, platforms, poses, flown, at, vehicles.fleet)
+                gaps = _Gaps(distance - vehicles.keep_out, height, radius)
+            if not (known or _has_room(gaps, strayed, moved)):
                 approach, known = dt * strays(i, time, present, motions, rates), True
                 strayed = (step + 1) * approach
-            if not _has_room(clear, strayed, moved):
+            if not _has_room(gaps, strayed, moved):
                 break
             step += 1
         if step < substeps or not _as_exact(y, dt):
@@ -366,18 +381,19 @@ def _size(x, y, z):
 
 
 @inlined
-def _sizes(velocity, over, dt):
-    """Return the way [m] of a velocity in `dt` [s] relative to the platform's, `over`, and to the floor."""
+def _ways(velocity, carrier, dt):
+    """Return the `_Ways` of a velocity in `dt` [s]; carrier: the velocity of the platform."""
     x, y, z = velocity
-    return dt * _size(x - over[0], y - over[1], z - over[2]), dt * _size(x, y, z)
+    return _Ways(dt * _size(x - carrier[0], y - carrier[1], z - carrier[2]), dt * _size(x, y, z))
 
 
 @inlined
-def _moved(velocity, y, over, dt):
-    """Return bounds [m] of the motions of `_sizes`, from the velocity before and that of y after."""
-    before, after = _sizes(velocity, over, 1.0), _sizes((y[VX], y[VY], y[VZ]), over, 1.0)
+def _moved(velocity, y, carrier, dt):
+    """Return bounds of the `_ways` in `dt` [s], from the velocity before and that of y after."""
+    before, after = _ways(velocity, carrier, 1.0), _ways((y[VX], y[VY], y[VZ]), carrier, 1.0)
     change = _size(y[VX] - velocity[0], y[VY] - velocity[1], y[VZ] - velocity[2])
-    return dt * (max(before[0], after[0]) + change), dt * (max(before[1], after[1]) + change)
+    platform, floor = max(before.platform, after.platform), max(before.floor, after.floor)
+    return _Ways(dt * (platform + change), dt * (floor + change))
 
 
 @inlined
@@ -418,14 +434,13 @@ def _distance(here, i, platforms, poses, row, at, fleet):
 
 
 @inlined
-def _has_room(clear, strayed, moved):
+def _has_room(gaps, strayed, ways):
     """Return whether a vehicle stays clear of platform and floor in a time; see the module's docstring.
 
-    clear: its distances [m] to platform and floor, its radius; strayed: by how much the platform comes nearer
-    [m]; moved: by how much the vehicle comes nearer to platform and floor, from `_sizes` or `_moved`.
+    strayed: by how much the platform comes nearer [m].
     """
-    platform, floor, radius = clear
-    return platform - strayed - radius - _MARGIN > moved[0] and floor - radius - _MARGIN > moved[1]
+    platform, floor = gaps.platform - strayed - gaps.radius, gaps.floor - gaps.radius
+    return platform - _MARGIN > ways.platform and floor - _MARGIN > ways.floor
 
 
 @inlined
