@@ -129,7 +129,7 @@ class BatchEnv:
             np.zeros((n, plant.state.shape[1])), np.zeros(n), np.zeros(n, bool), np.full(n, np.nan)
         )
         self._action_size = len(task.action_names)
-        # No policy observes how the plant's own vehicle differs from the task's.
+        # Row 0 is the task's vehicle, even where the plant's own differs: no policy observes the difference.
         vehicles = (task.vehicle, *(plant.pool if informed else [task.vehicle] * len(plant.pool)))
         self._privileged = (
             np.array([vehicle_parameters(v) for v in vehicles]) if task.observe_vehicle else None
@@ -261,7 +261,7 @@ class BatchEnv:
         start = self.task.sample(self.rng, len(ids))
         for _ in range(_TRIES):
             self._place(ids, start)
-            if len(self.plant.fleet.reach) == 1:
+            if self.plant.fleet.has_one_shape:  # whose clearance the task's starts respect
                 return start
             todo = np.flatnonzero(self.plant.clearance(ids, start.state) <= self.plant.keep_out)
             if not len(todo):

@@ -16,7 +16,7 @@ from inclined_landing.envs.shared.progress import Tick
 from inclined_landing.models.base.errors import UserError
 from inclined_landing.train.curriculum import Curriculum
 
-LEAST_RATE = 1e-3  # of the initial learning rate, below which no curriculum takes it
+LEAST_RATE = 1e-3  # least learning rate, as a share of the initial one
 # Parts of the names of the actor's parameters in SB3's `ActorCriticPolicy`.
 ACTOR = ("policy_net", "action_net", "log_std")
 
@@ -140,8 +140,8 @@ class LearningCurve(_BetweenRollouts):
 class Averaging(_BetweenRollouts):
     """Keeps moving averages of the network's weights over the updates in `averages`; none if `weight` is 0.
 
-    weight: weight of the averages before in the new ones. These are taken at the end of a rollout, because
-    a resumed run begins with a rollout.
+    weight: that of the previous averages in the new ones. They are updated at the end of a rollout, because a
+    resumed run begins with a rollout.
     """
 
     def __init__(self, averages: dict[str, torch.Tensor], weight: float):

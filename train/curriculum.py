@@ -30,12 +30,12 @@ SETTLED = 0.1  # share of the learning rate at which a run that is ended by succ
 
 
 class Rules(NamedTuple):
-    """What a curriculum that depends on success, and the end of its run, depend on."""
+    """The rules of a curriculum that adapts to success, and of the end of its run."""
 
     settling: int  # environment steps over which the learning rate falls to SETTLED
     restarts: int  # of the learning rate, after which a run ends without landing all varied vehicles
-    gate: float  # success above which the curriculum goes on
-    floor: float  # success below which it goes back
+    gate: float  # success above which the level rises
+    floor: float  # success below which the level falls
 
 
 USUAL = Rules(settling=400_000, restarts=0, gate=0.7, floor=0.4)

@@ -65,21 +65,21 @@ class Parameter:
     bounds: tuple[float, float]  # limits of a fit
     plausible: float  # a value that a real vehicle may well have, within the bounds
     negligible: float  # distance from neutral, in the unit, that nobody needs to correct
-    one_signed: bool = False  # below neutral lies no physical cause, only room for the noise of a fit
-    # Fields of Vehicle (`field.k`: their number k) that a factor multiplies, or divides where `inverse`, and
-    # to which any other parameter is added; see `Effect`. A one-signed effect may also be negative, as far as
-    # the first of them stays positive.
+    one_signed: bool = False  # values below neutral have no physical cause and allow for noise of a fit
+    # Fields of Vehicle (`field.k`: the k-th number of one). A factor multiplies them, or divides them if
+    # `inverse`; other parameters are added; see `Effect`. A one-signed effect may be negative as long as the
+    # first field stays positive.
     fields: tuple[str, ...] = ()
     inverse: bool = False
-    # The name under which `landing-eval identify` reports the first field, or 1 over it where `inverse`; "":
-    # it reports the parameter itself, under the effect's name.
+    # Name under which `landing-eval identify` reports the first field, or its inverse if `inverse`; "": the
+    # parameter itself is reported, under the effect's name.
     reported: str = ""
-    share: bool = False  # of a factor: what is reported is the factor itself, not what it multiplies
-    # The point about which the effect's first parameter acts. Any value is neutral while that one is, and it
-    # has no size of its own.
+    share: bool = False  # report the factor itself instead of the field that it multiplies
+    # Whether this is the operating point about which the effect's first parameter acts. It has no size, and
+    # any value is neutral while the first parameter is.
     is_reference: bool = False
-    # For a reference: one size about a value between its bounds acts like two sizes, one about each bound, as
-    # `Effect.at_ends` has them.
+    # For a reference: whether a size about any value equals the sum of two sizes about the bounds; see
+    # `Effect.at_ends`.
     linear: bool = True
     along_the_arm: bool = False  # its sizes are proportional to the length of the vehicle's arms
     times: float = 1.0  # set by `sized_for`: factor on its sizes relative to the shipped vehicle
@@ -163,7 +163,7 @@ class Parameter:
     def _on_top_of(self, vehicle: Vehicle) -> Parameter:
         """Return the parameter with bounds that account for the size that the vehicle already has."""
         if self.inverse and not self.is_factor:
-            # A lag added to 1 / field: of a quicker vehicle's there is less that may be missing.
+            # A lag added to 1 / field: a quicker vehicle has a smaller lag, of which less may be missing.
             less = self.number(load_vehicle(), 0.0) - self.number(vehicle, 0.0)
             return dataclasses.replace(
                 self, bounds=(min(self.neutral, self.bounds[0] + less), self.bounds[1])
@@ -183,14 +183,14 @@ class Parameter:
             times *= heavy_rotor_drag(vehicle) / heavy_rotor_drag(load_vehicle())
         times = float(np.clip(times, LEAST_TIMES, MOST_TIMES))
         plausible = 1.0 + (self.plausible - 1.0) * times
-        # The lower bound: no quicker than the shipped vehicle, as an engine's step could not follow. Bounds
-        # are never closer to 1 than the shipped vehicle's.
+        # The lower bound excludes vehicles quicker than the shipped one, which the engine's time step could
+        # not resolve. Bounds are never closer to 1 than those of the shipped vehicle.
         low = min(ROOM_BELOW, self.bounds[0] * max(1.0, times))
         high = 1.0 + (self.bounds[1] - 1.0) * max(1.0, times)
         return dataclasses.replace(
             self,
             bounds=(low, high),
-            # Below the bounds, a factor as far on the other side of 1 is as plausible.
+            # If it is below the bounds, a factor at the same distance above 1 is as plausible.
             plausible=plausible if plausible > self.bounds[0] else 2.0 - plausible,
             negligible=self.negligible * times,
             times=self.times * times,
@@ -343,7 +343,7 @@ class Effect:
             )
             for p in self.parameters
         )
-        # A controller that asks for the moment leaves nothing of it, and of taking it over, in the attitude.
+        # If the controller commands the compensating moment, the attitude shows nothing of it.
         unseen = {"attitude"} if "requests" in self.channels else set()
         channels = tuple(c for c in self.channels if c not in unseen)
         return dataclasses.replace(self, parameters=tuple(parameters), channels=channels)
