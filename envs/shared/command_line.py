@@ -69,7 +69,8 @@ def parse(target: Callable, prog: str, arguments: Sequence[str] | None = None) -
             raise UserError(_sentence(message.getvalue(), prog)) from end
         print(_tidy(page.getvalue()))
         raise
-    check_given(made.options if isinstance(made, Call) else dict(_options(made)), given(arguments))
+    options = made.options if isinstance(made, Call) else dict(_options(vars(made), type(made)))
+    check_given(options, given(arguments))
     return made
 
 
@@ -146,19 +147,15 @@ def check_given(options: Mapping[str, Option], flags: Container[str]) -> None:
                 raise UserError(f"{flag} has no effect {mark.otherwise}")
 
 
-def _options(group: Any, outer: tuple = ()) -> Iterator[tuple[str, Option]]:
-    """Yield the options of a dataclass by name, including those of its groups."""
+def _options(values: Mapping[str, Any], target: Callable, outer: tuple = ()) -> Iterator[tuple[str, Option]]:
+    """Yield the options in `values`, which `target` annotates, by name, including those in groups."""
     from inclined_landing.models.base import schema
 
-    yield from _with_marks(vars(group), schema.kinds_of(type(group)), outer)
-
-
-def _with_marks(values: Mapping[str, Any], kinds: Mapping[str, Any], outer: tuple = ()) -> Iterator:
-    """Yield names and `Option`s of values with these annotations."""
+    kinds = schema.kinds_of(target)
     for name, value in values.items():
         marks = (*outer, *getattr(kinds[name], "__metadata__", ()))
         if dataclasses.is_dataclass(value):
-            yield from _options(value, marks)
+            yield from _options(vars(value), type(value), marks)
         else:
             yield name, Option(value, marks)
 
@@ -248,15 +245,14 @@ def bound(command: Callable) -> Callable:
         from inclined_landing.models.base import schema
 
         given = inspect.signature(command).bind(*arguments, **options)
-        kinds = schema.kinds_of(command)
         try:
-            schema.check(given.arguments, kinds, flag_of)
+            schema.check(given.arguments, schema.kinds_of(command), flag_of)
         except UserError as error:  # called without the number of the wrong one of several values
             flag, must, rest = str(error).partition(" must be ")
             raise UserError(f"{flag.partition('[')[0]}{must}{rest}") from None
         given.apply_defaults()
         call = functools.partial(command, *arguments, **options)
-        return Call(call, dict(_with_marks(given.arguments, kinds)))
+        return Call(call, dict(_options(given.arguments, command)))
 
     return later
 

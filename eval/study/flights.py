@@ -47,6 +47,19 @@ _AT_ONCE = 1024  # flights; their records take some 80 MB
 _LAIN = 25  # control steps of lying still, beyond its history, after which a policy repeats itself
 
 
+class SharedFlights:
+    """Tables of cases that are simulated together, by number; they are simulated when one is first needed."""
+
+    def __init__(self, tables: Iterator[pd.DataFrame]):
+        self._remaining, self._known = tables, list[pd.DataFrame]()
+
+    def table(self, k: int) -> pd.DataFrame:
+        """Return the k-th table, whose case is `Case(labels, partial(shared.table, k))`."""
+        while len(self._known) <= k:
+            self._known.append(next(self._remaining))
+        return self._known[k]
+
+
 def named_policies(texts: Sequence[str]) -> dict[str, str]:
     """Return policies by name, from arguments of the command line: POLICY or LABEL=POLICY.
 

@@ -19,8 +19,8 @@ from inclined_landing.envs.policy import Policy
 from inclined_landing.envs.shared.measures import Measure, count_words
 from inclined_landing.envs.tasks.landing import PAPER_RESULTS
 from inclined_landing.envs.tasks.start import joined
-from inclined_landing.eval.study.engine import Panel, Results, SharedFlights, Study, View
-from inclined_landing.eval.study.flights import ARRIVAL, fly_each, policy_facts, slope_words
+from inclined_landing.eval.study.engine import Case, Panel, Results, Study, View
+from inclined_landing.eval.study.flights import ARRIVAL, SharedFlights, fly_each, policy_facts, slope_words
 from inclined_landing.models.base.errors import UserError
 
 
@@ -59,7 +59,7 @@ def study(
         name=f"success_{task.name}",
         title=f"{task.name}, {plant} plant, starts drawn with seed {seed}",
         cases=[
-            shared.case({"policy": name, "thrust_scale": float(scale)}, k)
+            Case({"policy": name, "thrust_scale": float(scale)}, partial(shared.table, k))
             for name, shared in flights.items()
             for k, scale in enumerate(thrust_scales)
         ],

@@ -11,6 +11,7 @@ from inclined_landing.envs.shared import progress
 from inclined_landing.envs.shared.measures import STRICT, TOUCHED, alone, median_of, with_ends
 from inclined_landing.eval.study import panels, show
 from inclined_landing.eval.study.engine import Case, Contrast, Panel, Study, View, run
+from inclined_landing.eval.study.flights import SharedFlights
 from inclined_landing.models.base.errors import UserError
 
 SPEED = median_of("speed", "speed", "m/s")
@@ -44,6 +45,11 @@ def test_flights_are_counted_by_their_labels_and_pooled_over_the_others():
     speed = results.one(SPEED, policy="a", vehicle="light")
     assert speed["value"] == 2.5 and (speed["min"], speed["max"]) == (1.0, 4.0)
     assert len({tuple(row) for row in show.document("x", [results])["rows"]}) == 1  # one shape
+
+
+def test_tables_that_are_simulated_together_can_be_read_in_any_order():
+    shared = SharedFlights(flights_of(landed) for landed in range(4))
+    assert [shared.table(k)["strict"].sum() for k in (2, 0, 3, 2)] == [2, 0, 3, 2]
 
 
 def test_flights_without_a_label_are_not_in_its_view():

@@ -5,6 +5,7 @@ import json
 import math
 import shutil
 from importlib import resources
+from types import SimpleNamespace
 
 import numpy as np
 import pandas as pd
@@ -16,7 +17,7 @@ from inclined_landing.envs.shared import statistics
 from inclined_landing.envs.shared.measures import STRICT, SUCCESS, TOUCHED
 from inclined_landing.envs.tasks import StepContext, frozen, make_task, slopes
 from inclined_landing.envs.tasks.base import hover_states
-from inclined_landing.eval import cli
+from inclined_landing.eval import after_training, cli
 from inclined_landing.eval.study import changes, flights, groups, rest, show
 from inclined_landing.eval.study.engine import evaluate, run
 from inclined_landing.eval.study.flights import ARRIVAL, fly_each, table_of
@@ -362,3 +363,20 @@ def test_a_slope_of_the_other_sign_on_which_nothing_lands_gets_a_hint(flown, lan
     flights = flights.assign(**dict.fromkeys(columns - set(flights), 0.0))
     remark = study.remarks(evaluate(study, flights))[0]
     assert remark.endswith("try --inclination -20.") == hinted
+
+
+# ---- the report on a training
+
+
+def test_a_report_is_refused_for_an_evaluation_that_no_command_has():
+    final = SimpleNamespace(task=SimpleNamespace(name="mine", evaluated_by="juggling"))
+    with pytest.raises(UserError, match="task mine: no report is known for evaluated_by = 'juggling'"):
+        after_training._study(final, {}, load_policy)
+
+
+def test_descent_is_the_law_even_next_to_a_folder_of_that_name(tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    (tmp_path / "descent").mkdir()
+    asked = []
+    after_training._origin(make_task("touchdown"), "descent", asked.append)
+    assert asked == ["landing-nominal"]
