@@ -20,6 +20,7 @@ SHIPPED_FOLDER = Path(str(resources.files("inclined_landing.envs") / "shipped"))
 _FILES = sorted(file.stem for file in SHIPPED_FOLDER.glob("*.zip"))
 # Names of the shipped policies: first those called like their task.
 SHIPPED = tuple(dict.fromkeys([*(name for name in TASK_CLASSES if name in _FILES), *_FILES]))
+DESCENT = "descent"  # in place of a policy in --from: the feedback law of train/descent.py
 
 _ENVIRONMENTS = "inclined_landing.envs.gym_env"
 

@@ -6,14 +6,13 @@ from collections.abc import Callable, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 
-from inclined_landing.envs.ids import SHIPPED
+from inclined_landing.envs.ids import DESCENT, SHIPPED
 from inclined_landing.envs.policy import Policy, load_policy
 from inclined_landing.envs.shared import progress, runs
 from inclined_landing.envs.shared.pool import in_fork
 from inclined_landing.envs.shared.tables import say
 from inclined_landing.envs.tasks import Task
 from inclined_landing.envs.tasks.landing import LandingConditions
-from inclined_landing.envs.tasks.training import DESCENT
 from inclined_landing.eval.base.options import FITTED, Look
 from inclined_landing.eval.pictures.film import film
 from inclined_landing.eval.pictures.flights import fly_from

@@ -13,8 +13,8 @@ from typing import TYPE_CHECKING, Annotated, Any, Literal
 import tyro
 from msgspec import Meta
 
+from inclined_landing.envs.ids import DESCENT
 from inclined_landing.envs.shared.options import Seed, flag_of
-from inclined_landing.envs.tasks.training import DESCENT
 from inclined_landing.models.base import schema
 from inclined_landing.models.base.errors import UserError, shown
 from inclined_landing.models.base.schema import Many, Real, Share

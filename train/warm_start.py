@@ -22,6 +22,7 @@ from stable_baselines3 import PPO
 from inclined_landing.envs import policy_file, sb3_file
 from inclined_landing.envs.batch import BatchEnv
 from inclined_landing.envs.history import input_centre, input_scale
+from inclined_landing.envs.ids import DESCENT
 from inclined_landing.envs.policy import Policy, load_policy, trained_task
 from inclined_landing.envs.tasks import StepContext, Task
 from inclined_landing.envs.tasks.landing import CONTACT_LIMIT, GOAL_SIZE, LEAVE_LIMIT
@@ -32,7 +33,6 @@ from inclined_landing.envs.tasks.touchdown import (
     InclinedTouchdown,
     TouchdownConditions,
 )
-from inclined_landing.envs.tasks.training import DESCENT
 from inclined_landing.models import surface
 from inclined_landing.models.attitude import PITCH, ROLL, X, Y, Z
 from inclined_landing.models.base.errors import UserError

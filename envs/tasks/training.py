@@ -64,8 +64,6 @@ evaluate_every 16        8         16          16            16           16    
 #       begins with a landing policy instead, and explores more.
 #   gamma of the touchdown: a long discount, or the vehicle comes in too fast.
 
-DESCENT = "descent"  # in place of a policy in --from: the feedback law of train/descent.py
-
 
 @dataclasses.dataclass(frozen=True)
 class Training(Record):
