@@ -162,12 +162,17 @@ class HybridPlant(MujocoPlant):
         c, model = self.contacts, self.model
         self._results = _Results(self.state, c.near, c.touch, c.force, self.load, self.in_engine)
         self._kernel_vehicles = _Vehicles(
-            *(self._constants, self.perturbation, self.size, self.fleet, self._contact),
-            self.foot_height - self.vehicle.effects_foot_height,
-            *(float(self.keep_out), model.actuator_ctrlrange),
-            bool(model.actuator_forcelimited[self._loops].all()),
-            model.opt.timestep,
-            self.substeps,
+            constants=self._constants,
+            perturbation=self.perturbation,
+            size=self.size,
+            fleet=self.fleet,
+            contact=self._contact,
+            foot_height=self.foot_height - self.vehicle.effects_foot_height,
+            keep_out=float(self.keep_out),
+            command_range=model.actuator_ctrlrange,
+            torque_limited=bool(model.actuator_forcelimited[self._loops].all()),
+            timestep=model.opt.timestep,
+            substeps=self.substeps,
         )
 
     def _bind(self, batch):
