@@ -159,8 +159,9 @@ class FlightSource(LogSource):
     Args:
         files: flights to fit: CSV (.csv, .csv.gz), Crazyflie micro-SD binary or ROS bag; several files of
             one flight as A+B.
-        heldout: flights used for evaluation only (default: each flight is evaluated with a fit to the
-            others).
+        heldout: flights that are not fitted, but whose errors decide: in gap the verdict and which names
+            are sure, in identify which constants are left unchanged (default: the errors of each flight,
+            left out of the fit in turn).
         vehicle: vehicle file (TOML) of the model (default: the shipped Crazyflie 2.1).
         platform: the platform in the vehicle file was present in the flights (detected automatically in logs
             with contacts).

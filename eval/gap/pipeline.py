@@ -14,7 +14,7 @@ from threadpoolctl import threadpool_limits
 
 from inclined_landing.eval.gap import thresholds
 from inclined_landing.eval.gap.answer import selection, sizes
-from inclined_landing.eval.gap.answer.selection import Displacement
+from inclined_landing.eval.gap.answer.selection import EffectAhead
 from inclined_landing.eval.gap.answer.touchdown import contact_answer
 from inclined_landing.eval.gap.infer.fit import estimate_noise
 from inclined_landing.eval.gap.infer.gaussian import prior_share
@@ -52,9 +52,10 @@ def diagnose(
 
     reference: posterior of the vehicle's constants, from flights (`identify`) or from its file
     (`read_reference`); None: they are exact, its formulas nearly.
-    heldout: flights for evaluation only; without them every flight is evaluated with the effects fitted to
-    the others (leave-one-out). platform: the slab of the vehicle file stands in the arena (None: where a log
-    has contacts). plants: measure the gap in these.
+    heldout: flights that are not fitted, but whose errors decide the verdict and which names are sure;
+    without them these are the errors of each flight, left out of the fit in turn.
+    platform: the slab of the vehicle file stands in the arena (None: where a log has contacts).
+    plants: measure the gap in these.
 
     Raises UserError when no flight can be used.
     """
@@ -64,19 +65,18 @@ def diagnose(
     usable = usable_flights(flights, heldout, vehicle, platform)
     if reference is not None:
         check_unused(usable.heldout, reference.flights, "by which the vehicle was identified")
-    identifiable, unidentifiable = identifiable_effects(library, usable.fitted)
+    candidates, unidentifiable = identifiable_effects(library, usable.fitted)
 
     # How probable is every set of effects?
-    use, candidates = usable, identifiable
-    searched = probable_sets(use.fitted, vehicle, candidates, reference)
-    notes = [*use.notes, *_data_notes(searched.problem), *unidentifiable]
+    searched = probable_sets(usable.fitted, vehicle, candidates, reference)
+    notes = [*usable.notes, *_data_notes(searched.problem), *unidentifiable]
     if "wind" in candidates and "wind" not in searched.problem.library:
         notes.append("the vehicle has almost no drag, so wind cannot be diagnosed")
     if in_strong_wind(searched):  # search again without attitude loops and lags, which cannot be judged
         notes.append(_IN_WIND)
-        use = usable.without_angle_commands(vehicle)
-        candidates = {name: effect for name, effect in identifiable.items() if not effect.is_lag}
-        searched = probable_sets(use.fitted, vehicle, candidates, reference)
+        usable = usable.without_angle_commands(vehicle)
+        candidates = {name: effect for name, effect in candidates.items() if not effect.is_lag}
+        searched = probable_sets(usable.fitted, vehicle, candidates, reference)
     inconsistent = inconsistent_flights(searched.problem, searched.linear)
 
     # Which effects are named? Those that matter, of these those that predict flights left out, and of these
@@ -90,33 +90,33 @@ def diagnose(
     correction = selection.corrected(found, values)
     with ThreadPoolExecutor(1) as beside:  # whose thread analyses the residual while MuJoCo flies
         analysis = beside.submit(analyse_residual, found, correction.vehicle)
-        ahead = selection.open_loop_errors(found, correction, use.judged, values, plants)
+        ahead = selection.open_loop_errors(found, correction, usable.judged, values, plants)
     residual = dataclasses.replace(analysis.result(), error=ahead.error)
-    known = reference.errors if reference else None
-    least_cost = cost_beyond_doubt(residual, ahead.gap.get("analytic"), known)
+    reference_errors = reference.errors if reference else None
+    least_cost = cost_beyond_doubt(residual, ahead.gap.get("analytic"), reference_errors)
     effects = named_effects(found, values, ahead.named, least_cost)
     landings = reference.landings if reference else None
-    contact = contact_answer(use, vehicle, correction.vehicle, candidates, landings)
+    contact = contact_answer(usable, vehicle, correction.vehicle, candidates, landings)
 
     return Diagnosis(
-        set_aside=use.set_aside,
+        set_aside=usable.set_aside,
         inconsistent_flights=inconsistent,
         effects=(*effects, *contact.effects),
         estimated={} if correction.half_widths is None else correction.values,
         half_widths=correction.half_widths or {},
         corrected=contact.vehicle,
-        where=(*selection.regime_errors(correction, use.judged), *contact.where),
+        where=(*selection.regime_errors(correction, usable.judged), *contact.where),
         sets=contact.sets(scored_sets(found)),
         unidentifiable_sets=unidentifiable_sets(found),
         touchdowns=contact.posterior.touchdowns if contact.posterior else None,
         disturbance=sizes.disturbances(found.problem),
         residual=residual,
         gap=ahead.gap or contact.gap(vehicle, plants),
-        platform=use.platform,
-        flights=tuple(f.name for f in use.fitted),
-        heldout=tuple(f.name for f in use.judged or use.fitted),
+        platform=usable.platform,
+        flights=tuple(f.name for f in usable.fitted),
+        heldout=tuple(f.name for f in usable.judged or usable.fitted),
         notes=(*map(summary_line, inconsistent), *notes, *contact.notes, *ahead.notes),
-        reference=known,
+        reference=reference_errors,
         displacements=ahead.displacements,
         growth=ahead.growth,
         thrust_over_weight=sizes.thrust_over_weight(found, values),
@@ -135,7 +135,7 @@ def probable_sets(
 
 
 def named_effects(
-    found: SetPosterior, values: Values, ahead: Mapping[str, Displacement], least_cost: float
+    found: SetPosterior, values: Values, ahead: Mapping[str, EffectAhead], least_cost: float
 ) -> tuple[NamedEffect, ...]:
     """Return the named effects with estimates, in the order of `values`.
 
@@ -215,10 +215,10 @@ def _doubt(problem: Problem, name: str, along: Mapping[str, float], too_small: b
         return "In doubt, because the named effects together may leave thrust over weight as modelled."
     # Does it move the vehicle, along the axis where most, by less than the identified one is worse there?
     worse = problem.reference.errors.worse if problem.reference and problem.reference.errors else {}
-    main = max(along, key=lambda axis: along[axis], default="")
-    moved = {"position": math.hypot(*along.values()), main: along.get(main, math.nan)}
+    moved = {"position": math.hypot(*along.values())}
+    moved |= dict(sorted(along.items(), key=lambda item: -item[1])[:1])
     for where, (before, after) in worse.items():
-        if where in moved and moved[where] < after:
+        if moved.get(where, math.inf) < after:
             return (
                 f"In doubt, because the identified vehicle predicts {where} of its own flights worse than "
                 f"the vehicle before did ({100 * after:.1f} cm for {100 * before:.1f} cm one second ahead): "
@@ -300,7 +300,7 @@ def scored_sets(found: SetPosterior) -> tuple[ScoredSet, ...]:
     result = []
     for scored in found.sets:
         standard_errors: dict[str, dict[str, float]] = {n: {} for n in scored.effects}
-        for (name, parameter), known in found.local.estimates(scored.values).items():
+        for (name, parameter), known in found.local.parameter_errors(scored.values).items():
             standard_errors[name][parameter] = known.error
         result.append(structs.replace(scored, standard_errors=standard_errors))
     return tuple(result)

@@ -138,13 +138,13 @@ class NamedEffect:
 
 @dataclasses.dataclass(frozen=True)
 class Dependence:
-    """A function of logged quantities that predicts the residual of one channel on held-out flights."""
+    """A function of logged quantities that predicts the residual of one channel on flights left out."""
 
     channel: str  # x, y, z, roll, pitch, yaw, forward, left (of the heading)
     on: str  # place, velocity, commands, ...: the inputs of the function
     size: float  # its root mean square over the flights
     unit: str  # m/s2, rad/s2
-    share: float  # of the squared error that it explains on held-out flights
+    share: float  # of the squared error that it explains on flights left out
     score: float  # gain in standard deviations over random sign flips
     displacement: float  # m, root mean square displacement by it within a second
     displacement_ci95: tuple[float, float]
@@ -209,7 +209,7 @@ class Disturbance:
 
 @dataclasses.dataclass(frozen=True)
 class ReferenceErrors:
-    """The residual of an identified vehicle on its flights, each held out in turn, or on others."""
+    """The residual of an identified vehicle on flights held out, or its own, each left out in turn."""
 
     error: float  # m, open-loop position error one second ahead
     floor: float  # m, that of the measurement noise alone
@@ -269,7 +269,7 @@ class InconsistentFlights:
 
 @dataclasses.dataclass(frozen=True)
 class PlantGap:
-    """Open-loop position error [m] in one plant at the horizon, root mean square over held-out flights."""
+    """Open-loop position error [m] in one plant at the horizon, root mean square over flights not fitted."""
 
     before: float
     after: float
@@ -280,7 +280,7 @@ class PlantGap:
 
 @dataclasses.dataclass(frozen=True)
 class ErrorGrowth:
-    """How the open-loop position error grows with the horizon on held-out flights, as effects are added.
+    """How the open-loop position error grows with the horizon on flights not fitted, as effects are added.
 
     Every error is (h,) in m, root mean square over windows. The first is that of the vehicle diagnosed, and
     the last that of the corrected one.
@@ -294,7 +294,7 @@ class ErrorGrowth:
 def cost_beyond_doubt(
     residual: ResidualAnalysis, gap: PlantGap | None, reference: ReferenceErrors | None
 ) -> float:
-    """Return the error [m] one second ahead that a name must account for to be sure; inf: none is sure.
+    """Return the error [m] one second ahead that a name must account for to be sure; 0: any, inf: none is.
 
     No name is sure if the error that remains with all of them is much larger than that of the reference
     flights, or if most of it repeats from flight to flight. But what repeats may be the identified vehicle's
@@ -327,7 +327,7 @@ class Diagnosis:
     gap: dict[str, PlantGap]  # "analytic", "mujoco"; empty where no flight has a usable second
     platform: bool  # the slab stood in the arena
     flights: tuple[str, ...]  # names of the flights fitted
-    heldout: tuple[str, ...]  # names of the flights judged on (those fitted, left out in turn, if none)
+    heldout: tuple[str, ...]  # names of the flights whose errors decide: held out, or left out in turn
     notes: tuple[str, ...]  # what limits this diagnosis, in sentences
     touchdowns: Touchdowns | None = None  # None: too few to name effects of contact
     # With effects that the flights could not have shown, at prior odds.

@@ -121,9 +121,9 @@ MATERIAL = 0.05  # If such a function makes up at least this share of the square
 LANDING_RESIDUAL = 0.05  # This is the rate of the chi-squared test that landings have a common residual.
 # Larger: more found, more false ones. Measured: fresh, false in 1 of 3 sets of landings
 MOSTLY = 0.5  # If more than this share of the squared one-second error that is left repeats, then no name is
-# sure; but not if the error left is within the reference's, whose square is at most MATERIAL of that before.
-# Larger: fewer names doubted, more wrong ones sure. Measured: two propellers cut, sure in 2 of 29 conditions,
-# both wrong; last, 1 of 72 right answers doubted
+# sure, unless the error left does not exceed the reference's, and this squared is at most MATERIAL of the
+# squared error before. Larger: fewer names doubted, more wrong ones sure. Measured: two propellers cut, sure
+# in 2 of 29 conditions, both wrong; last, 1 of 72 right answers doubted
 MUCH_LARGER = 1.75  # If the error that names leave is more than this many times that of the reference's
 # flights, then none of them is sure. Larger: fewer names doubted, more wrong ones sure. Measured: six, causes
 # outside the library: `unknown` in 6 of 7, a wrong name sure in 1; recorded, load sure in 6 of 6

@@ -17,7 +17,7 @@ AIR_DENSITY = 1.2  # kg/m3
 # Ratio of plausible offsets of the centre of mass: those whose moment the motors compensate, such as the 3 mm
 # by a deck of 3 g on an arm, over those that tilt the vehicle.
 HELD = 2.5
-OFF = 8.0  # largest plausible error of the reference of an effect, in its negligible sizes
+REFERENCE_ERROR = 8.0  # largest plausible error of an effect's reference, in its negligible sizes
 # Limits of the ratio by which a factor's sizes change with the vehicle, and a value that its bounds always
 # contain. Chosen by hand.
 LEAST_TIMES, MOST_TIMES, ROOM_BELOW = 0.1, 20.0, 0.8
@@ -132,7 +132,7 @@ class Parameter:
     def either_side(self, times: float = 1.0) -> tuple[float, float]:
         """Return the lowest and highest plausible value of a reference, or values `times` as far from it."""
         low, high = self.bounds
-        away = times * OFF * self.negligible
+        away = times * REFERENCE_ERROR * self.negligible
         return max(low, self.neutral - away), min(high, self.neutral + away)
 
     def sized_for(self, vehicle: Vehicle) -> Parameter:
@@ -163,7 +163,7 @@ class Parameter:
     def _on_top_of(self, vehicle: Vehicle) -> Parameter:
         """Return the parameter with bounds that account for the size that the vehicle already has."""
         if self.inverse and not self.is_factor:
-            # A lag added to 1 / field: a quicker vehicle has a smaller lag, of which less may be missing.
+            # A lag added to 1 / field: a quicker vehicle has less lag to lose.
             less = self.number(load_vehicle(), 0.0) - self.number(vehicle, 0.0)
             return dataclasses.replace(
                 self, bounds=(min(self.neutral, self.bounds[0] + less), self.bounds[1])
@@ -183,14 +183,15 @@ class Parameter:
             times *= heavy_rotor_drag(vehicle) / heavy_rotor_drag(load_vehicle())
         times = float(np.clip(times, LEAST_TIMES, MOST_TIMES))
         plausible = 1.0 + (self.plausible - 1.0) * times
-        # The lower bound excludes vehicles quicker than the shipped one, which the engine's time step could
-        # not resolve. Bounds are never closer to 1 than those of the shipped vehicle.
+        # Bounds are never closer to 1 than those of the shipped vehicle, [l_0, h_0]:
+        #   l = min(ROOM_BELOW, l_0 max(1, times)),   h = 1 + (h_0 - 1) max(1, times)
+        # At the lower one the time is l T = l_0 T_0: the engine's time step could not resolve a shorter one.
         low = min(ROOM_BELOW, self.bounds[0] * max(1.0, times))
         high = 1.0 + (self.bounds[1] - 1.0) * max(1.0, times)
         return dataclasses.replace(
             self,
             bounds=(low, high),
-            # If it is below the bounds, a factor at the same distance above 1 is as plausible.
+            # If it is below the bounds, a factor f at the same distance above 1 is as plausible: 1 + (1 - f).
             plausible=plausible if plausible > self.bounds[0] else 2.0 - plausible,
             negligible=self.negligible * times,
             times=self.times * times,

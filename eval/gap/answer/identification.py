@@ -28,14 +28,14 @@ from inclined_landing.eval.gap.infer.fit import (
     fit_least_squares,
     fit_vehicle,
 )
-from inclined_landing.eval.gap.infer.gaussian import LinearGaussian, ParameterEstimate, Spread, truncated_mode
+from inclined_landing.eval.gap.infer.gaussian import LinearGaussian, ParameterErrors, Spread, truncated_mode
 from inclined_landing.eval.gap.infer.heterogeneity import inconsistent_flights, summary_line
 from inclined_landing.eval.gap.infer.landing_reference import landing_reference
 from inclined_landing.eval.gap.infer.residual import reference_residual, white_residuals
 from inclined_landing.eval.gap.infer.sets import leave_one_out
 from inclined_landing.eval.gap.measured.landings import LandingReference
 from inclined_landing.eval.gap.measured.usable import UsableFlights, fingerprint, usable_flights
-from inclined_landing.eval.gap.measured.windows import REGIMES, MeasuredFlight
+from inclined_landing.eval.gap.measured.windows import WINDOW_REGIMES, MeasuredFlight
 from inclined_landing.eval.gap.model.columns import (
     BASE,
     BaseColumn,
@@ -44,7 +44,7 @@ from inclined_landing.eval.gap.model.columns import (
     slab_deviations,
     without,
 )
-from inclined_landing.eval.gap.model.prediction import CHANNELS, predict
+from inclined_landing.eval.gap.model.prediction import POSE_CHANNELS, predict
 from inclined_landing.eval.gap.model.problem import Problem, identifiable_effects
 from inclined_landing.eval.gap.model.reference import VehiclePosterior, free_effects
 from inclined_landing.eval.gap.result import (
@@ -129,7 +129,8 @@ def identify(
 ) -> Identification:
     """Return the vehicle's constants fitted to flights, with their posterior and identifiability.
 
-    heldout: flights for the fit in percent; without them each flight is evaluated with the others' fit.
+    heldout: flights that are not fitted, but whose errors decide which constants are left unchanged; without
+    them these are the errors of each flight, left out of the fit in turn.
     Raises UserError when no flight can be used.
     """
     vehicle = as_vehicle(vehicle)
@@ -179,7 +180,9 @@ def identify(
         identifiable=identifiability(around, reference),
         fit=fitted.fit,
         ahead=fitted.ahead,
-        regimes=dict(zip(REGIMES, np.concatenate([f.regimes for f in use.fitted]).mean(axis=0).tolist())),
+        regimes=dict(
+            zip(WINDOW_REGIMES, np.concatenate([f.regimes for f in use.fitted]).mean(axis=0).tolist())
+        ),
         kept=tuple(n for n in library if n in kept),
         worse=fitted.worse,
         disturbance=disturbance,
@@ -200,7 +203,7 @@ class _Fit:
     values: FittedValues
     local: LinearGaussian
     vehicle: Vehicle  # with these, but those of the place
-    # These are fields of `Identification`, here on flights left out.
+    # These are fields of `Identification`, on the flights judged on (`Refit.judged`).
     fit: dict[str, dict[str, float]]
     ahead: dict[str, float]
     worse: dict[str, tuple[float, float]]
@@ -228,7 +231,7 @@ class _Fit:
     def is_better_than(self, other: _Fit) -> bool:
         """Return whether the errors in `worse` grow by less than those of another fit.
 
-        The position error on flights left out must not be larger by WORSE either.
+        The position error must not be larger by WORSE either.
         """
         grown = [sum(after**2 - before**2 for before, after in x.worse.values()) for x in (self, other)]
         further = self.ahead["after"] > (1.0 + thresholds.WORSE) * other.ahead["after"]
@@ -254,7 +257,7 @@ class _Fit:
 
         Where the position is, they are those that act most on any of x, y, z, roll and pitch.
         """
-        channels = [CHANNELS.index(axis) for axis in self.worse if axis in CHANNELS]
+        channels = [POSE_CHANNELS.index(axis) for axis in self.worse if axis in POSE_CHANNELS]
         if not channels:
             channels = list(range(5)) if self.worse else []
         squares = self.problem.squares_by_channel
@@ -266,18 +269,18 @@ class _Fit:
         return frozenset(result)
 
     @cached_property
-    def estimates(self) -> dict[tuple[str, str], ParameterEstimate]:
-        """Return the standard errors of all parameters, by effect and parameter."""
-        return self.local.estimates(self.values)
+    def parameter_errors(self) -> dict[tuple[str, str], ParameterErrors]:
+        """Return the errors of all parameters, by effect and parameter."""
+        return self.local.parameter_errors(self.values)
 
     def half_width(self, effect: str, parameter: str) -> float:
         """Return the half-width of the 95 % interval of a parameter."""
-        return half_width(self.problem, self.estimates[effect, parameter].error)
+        return half_width(self.problem, self.parameter_errors[effect, parameter].error)
 
     def constants(self, before: Vehicle) -> tuple[Identified, ...]:
         """Return the identified constants, without those of the place and references of effects not seen."""
         result = []
-        for (effect, parameter), known in self.estimates.items():
+        for (effect, parameter), known in self.parameter_errors.items():
             p, value = self.problem.library[effect].parameter(parameter), self.values[effect][parameter]
             if LIBRARY[effect].of_the_place or (p.is_reference and not self._is_seen(effect)):
                 continue
@@ -307,12 +310,12 @@ class _Fit:
         return any(
             abs(self.values[effect][p.name] - p.neutral) > self.half_width(effect, p.name)
             for p in sizes
-            if (effect, p.name) in self.estimates
+            if (effect, p.name) in self.parameter_errors
         )
 
     def vehicles_a_half_width_away(self) -> Iterator[Vehicle]:
         """Yield the vehicle with each parameter moved by the half-width of its interval."""
-        for effect, parameter in self.estimates:
+        for effect, parameter in self.parameter_errors:
             bounds = self.problem.library[effect].parameter(parameter).bounds
             end = self.values[effect][parameter] + self.half_width(effect, parameter)
             moved = {**self.values[effect], parameter: float(np.clip(end, *bounds))}

@@ -29,7 +29,7 @@ from inclined_landing.eval.gap.infer.sets import (
     leave_one_out,
     posterior_mode,
 )
-from inclined_landing.eval.gap.measured.windows import REGIMES, MeasuredFlight
+from inclined_landing.eval.gap.measured.windows import WINDOW_REGIMES, MeasuredFlight
 from inclined_landing.eval.gap.model.columns import FittedValues, Values, slab_deviations, without
 from inclined_landing.eval.gap.model.prediction import channels_of
 from inclined_landing.eval.gap.model.problem import Problem
@@ -76,7 +76,7 @@ class Refit:
         return [self.problem.corrected(values) for values in self.left_out]
 
     def judged(self, heldout: Sequence[MeasuredFlight]) -> JudgedFlights:
-        """Return the flights that errors are measured on: those held out; without any, the flights fitted."""
+        """Return the flights that errors are measured on: those held out, or else each left out in turn."""
         if heldout:
             return JudgedFlights(heldout, [self.vehicle] * len(heldout))
         return JudgedFlights(self.problem.flights, self.vehicles)
@@ -322,7 +322,7 @@ def regime_errors(correction: Refit, heldout: Sequence[MeasuredFlight]) -> tuple
     before, variance = residual.equivalent_sizes(problem, problem.white_errors(nominal))
     after, _ = residual.equivalent_sizes(problem, problem.white_errors(judged.vehicles))
     regimes = np.concatenate([f.regimes for f in problem.flights])
-    members = {"all": np.ones(len(regimes), bool), **dict(zip(REGIMES, regimes.T))}
+    members = {"all": np.ones(len(regimes), bool), **dict(zip(WINDOW_REGIMES, regimes.T))}
     rows = []
     for name, k in itertools.product(members, range(problem.channels)):
         channel, w = channels_of(problem)[k], members[name] & (problem.logged[:, k] > 0.0)
@@ -342,7 +342,7 @@ def regime_errors(correction: Refit, heldout: Sequence[MeasuredFlight]) -> tuple
 
 
 @dataclasses.dataclass(frozen=True)
-class Displacement:
+class EffectAhead:
     """The change of the position one second ahead by a named effect."""
 
     cost: float = math.nan  # m, the error that it accounts for; NaN: not known
@@ -354,7 +354,7 @@ class OpenLoopErrors:
     """Open-loop predictions of the flights, with and without the effects; empty where none can be made."""
 
     error: float = math.nan  # m, of the position after the longest horizon, corrected
-    named: dict[str, Displacement] = dataclasses.field(default_factory=dict)  # what each of these does
+    named: dict[str, EffectAhead] = dataclasses.field(default_factory=dict)  # what each of these does
     gap: dict[str, PlantGap] = dataclasses.field(default_factory=dict)  # by plant, of the equations first
     displacements: dict[str, float] = dataclasses.field(default_factory=dict)  # see Diagnosis
     growth: ErrorGrowth | None = None
@@ -371,33 +371,33 @@ def open_loop_errors(
     """Return the open-loop predictions of flights that were not fitted; values: of the named effects."""
     problem, judged = found.problem, correction.judged(heldout)
     try:
-        starts = rollout.RolloutWindows.of(judged.flights)
+        windows = rollout.RolloutWindows.of(judged.flights)
     except UserError as why:
-        unknown = dict.fromkeys(values, Displacement())
+        unknown = dict.fromkeys(values, EffectAhead())
         return OpenLoopErrors(named=unknown, notes=(f"the gap after one second was not measured: {why}",))
-    floor = rollout.noise_floor(starts, correction.vehicle)
+    floor = rollout.noise_floor(windows, correction.vehicle)
     gap, notes = {}, []
     for plant in dict.fromkeys(("analytic", *plants)):
         try:
             gap[plant] = PlantGap(
-                before=float(rollout.errors_by_flight(starts, problem.vehicle, plant)[-1]),
-                after=float(rollout.errors_by_flight(starts, judged.vehicles, plant)[-1]),
+                before=float(rollout.errors_by_flight(windows, problem.vehicle, plant)[-1]),
+                after=float(rollout.errors_by_flight(windows, judged.vehicles, plant)[-1]),
                 floor=float(floor[-1]),
-                windows=len(starts),
-                horizon=starts.rows * starts.dt,
+                windows=len(windows),
+                horizon=windows.rows * windows.dt,
             )
         except UserError as why:  # as loops that are too fast for the engine's step
             notes.append(f"the gap was not measured in {plant}: {why}")
     pieces = loop_pieces(problem, values)
     classes = {member for name in values for member in equivalence_class(found, name)}
     return OpenLoopErrors(
-        error=float(rollout.errors_by_flight(starts, judged.vehicles)[-1]),
-        named={n: _displacement(problem, starts, values, pieces if n in pieces else (n,)) for n in values},
+        error=float(rollout.errors_by_flight(windows, judged.vehicles)[-1]),
+        named={n: _effect_ahead(problem, windows, values, pieces if n in pieces else (n,)) for n in values},
         gap=gap,
-        displacements=_displacements(found, starts, classes),
+        displacements=_displacements(found, windows, classes),
         growth=ErrorGrowth(
-            horizon=np.arange(1, starts.rows + 1) * starts.dt,
-            errors=_errors_in_turn(starts, correction, values, judged.vehicles),
+            horizon=np.arange(1, windows.rows + 1) * windows.dt,
+            errors=_errors_in_turn(windows, correction, values, judged.vehicles),
             floor=floor,
         ),
         notes=tuple(notes),
@@ -405,7 +405,7 @@ def open_loop_errors(
 
 
 def _errors_in_turn(
-    starts: rollout.RolloutWindows, correction: Refit, values: Values, corrected: Sequence[Vehicle]
+    windows: rollout.RolloutWindows, correction: Refit, values: Values, corrected: Sequence[Vehicle]
 ) -> dict[str, np.ndarray]:
     """Return the errors of the nominal vehicle (""), and with the effects of `values` added in turn.
 
@@ -420,31 +420,31 @@ def _errors_in_turn(
         vehicles["all others"] = corrected
     elif names:
         vehicles[names[-1]] = corrected
-    return {name: rollout.errors_by_flight(starts, vehicle) for name, vehicle in vehicles.items()}
+    return {name: rollout.errors_by_flight(windows, vehicle) for name, vehicle in vehicles.items()}
 
 
-def _displacement(
-    problem: Problem, starts: rollout.RolloutWindows, values: Values, names: Sequence[str]
-) -> Displacement:
+def _effect_ahead(
+    problem: Problem, windows: rollout.RolloutWindows, values: Values, names: Sequence[str]
+) -> EffectAhead:
     """Return the error after one second that effects account for, and how far they move the vehicle."""
     # cost^2 = e_without^2 - e_with^2
-    measured = starts.measured()
-    rest = rollout.simulate(starts, problem.corrected(without(values, *names)))
-    whole = rollout.simulate(starts, problem.corrected(values))
+    measured = windows.measured()
+    rest = rollout.simulate(windows, problem.corrected(without(values, *names)))
+    whole = rollout.simulate(windows, problem.corrected(values))
     worse = rollout.position_error(rest, measured)[-1]
     better = rollout.position_error(whole, measured)[-1]
     moved = np.sqrt(((whole - rest)[:, -1, :3] ** 2).mean(axis=0))
-    return Displacement(float(np.sqrt(max(0.0, worse**2 - better**2))), dict(zip("xyz", map(float, moved))))
+    return EffectAhead(float(np.sqrt(max(0.0, worse**2 - better**2))), dict(zip("xyz", map(float, moved))))
 
 
-def _displacements(found: SetPosterior, starts: rollout.RolloutWindows, named: Set[str]) -> dict[str, float]:
+def _displacements(found: SetPosterior, windows: rollout.RolloutWindows, named: Set[str]) -> dict[str, float]:
     """Return possible effect -> displacement [m] within a second by its size in the best set with it."""
     problem = found.problem
-    plain, result = rollout.simulate(starts, problem.vehicle), {}
+    plain, result = rollout.simulate(windows, problem.vehicle), {}
     for name in problem.library:
         if name in named or found.probability(name) < thresholds.POSSIBLE:
             continue
         best = max((one for one in found.sets if name in one.names), key=lambda one: one.probability)
-        moved = rollout.simulate(starts, problem.corrected({name: best.values[name]}))
+        moved = rollout.simulate(windows, problem.corrected({name: best.values[name]}))
         result[name] = float(rollout.position_error(moved, plain)[-1])
     return result

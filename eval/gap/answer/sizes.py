@@ -34,7 +34,7 @@ STEP_RESPONSE, STEP = 2.0, 0.001  # s, length and step of the simulated answer o
 def estimates(found: SetPosterior, values: Values) -> dict[str, dict[str, Estimate]]:
     """Return effect -> parameter -> its estimate, the other effects marginalised."""
     problem = found.problem
-    sized = found.local.for_sizes_of(frozenset(values)).estimates(values)
+    sized = found.local.for_sizes_of(frozenset(values)).parameter_errors(values)
     result: dict[str, dict[str, Estimate]] = {name: {} for name in values}
     for name in values:
         for p in problem.library[name].parameters:
@@ -146,7 +146,7 @@ def jointly(
 
 
 def size_columns(problem: Problem, local: LinearGaussian, names: Sequence[str]) -> list[int]:
-    """Return the indices of the columns of effects' parameters, without those that these are relative to."""
+    """Return the indices of the columns of effects' parameters, without reference parameters."""
     own = ((k, local.columns[k]) for k in local.index(names))
     return [k for k, c in own if isinstance(c, ParameterColumn) and not problem.parameter(c).is_reference]
 
@@ -250,17 +250,16 @@ def _reference_half_width(problem: Problem) -> float:
 
 def disturbances(problem: Problem) -> dict[str, Disturbance]:
     """Return channel -> measurement noise and disturbance level; yaw only where it was logged."""
-    noise_model = problem.noise_model
-    noise = np.median([f.noise for f in problem.flights], axis=0) * noise_model.noise
+    noise = np.median([f.noise for f in problem.flights], axis=0)
     return {
         channel: Disturbance(
-            noise=float(noise[k]),
-            size=float(noise_model.size[k]),
-            size_ci95=(float(noise_model.size_ci95[0, k]), float(noise_model.size_ci95[1, k])),
-            time=float(noise_model.time[k]),
-            time_ci95=(float(noise_model.time_ci95[0, k]), float(noise_model.time_ci95[1, k])),
+            noise=float(noise[k]) * one.noise_ratio,
+            size=one.size,
+            size_ci95=one.size_ci95,
+            time=one.time,
+            time_ci95=one.time_ci95,
             unit=UNITS_OF[channel],
         )
-        for k, channel in enumerate(channels_of(problem))
+        for k, (channel, one) in enumerate(zip(channels_of(problem), problem.noise_model))
         if problem.logged[:, k].any()
     }

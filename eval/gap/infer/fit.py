@@ -19,6 +19,7 @@ from inclined_landing.eval.gap.model.columns import (
     Values,
     slab_deviations,
 )
+from inclined_landing.eval.gap.model.prediction import YAW_REQUEST_CHANNEL
 from inclined_landing.eval.gap.model.problem import Linearisation, Problem, solve
 from inclined_landing.models.vehicle import Vehicle
 
@@ -26,11 +27,8 @@ MODEL_ERRORS = np.array([0.0, *np.geomspace(0.002, 0.5, 30)])  # f, multiplicati
 ALTERNATIONS = 4  # rounds, at most, of fitting effects and noise model in turn
 SETTLED, SMALL_SIZE = 0.15, 1e-3  # relative and absolute change of the disturbance's size that ends these
 ROUGH_ITERATIONS, ROUGH_TOLERANCE = 3, 5.0  # of a round's fit: the next one begins where it ends
-FIRST_DAMPING, MOST_DAMPING, LEAST_DAMPING = (
-    1e-3,
-    1e4,
-    1e-9,
-)  # as by Marquardt; beyond the most, no step helps
+# As by Marquardt; beyond the most, no step helps.
+FIRST_DAMPING, MOST_DAMPING, LEAST_DAMPING = 1e-3, 1e4, 1e-9
 LAGS = 4  # windows over which autocorrelations are summed
 ROUNDS = 8  # of Newton's method
 STEP_SHARES = (1.0, 0.5, 0.25, 0.1)  # of a Newton step, the first that decreases the deviance
@@ -45,7 +43,7 @@ class LeastSquaresFit:
     problem: Problem
     values: FittedValues
     columns: Sequence[Column]  # of the effects in `values`
-    squares: float  # weighted squared white error over all windows (least-squares cost)
+    squares: float  # weighted squared white error over all windows (least-squares objective)
 
     @cached_property
     def linear(self) -> Linearisation:
@@ -62,8 +60,8 @@ def fit_least_squares(
 ) -> LeastSquaresFit:
     """Return the Levenberg-Marquardt fit of all parameters of the effects in `values`, within bounds.
 
-    tolerance: decrease of the cost that ends the iteration. prior: gives the standard deviations (P,) of the
-    columns about neutral; None: flat.
+    tolerance: decrease of the objective that ends the iteration. prior: gives the standard deviations (P,) of
+    the columns about neutral; None: flat.
     """
     start = {name: problem.neutral(name) | dict(v) for name, v in values.items()}
     columns: list[Column] = [
@@ -86,7 +84,7 @@ def fit_least_squares(
 def _damped_fit(
     problem: Problem, fit: LeastSquaresFit, damping: float, width: np.ndarray, tolerance: float
 ) -> tuple[LeastSquaresFit, float, float]:
-    """Return the fit after a step that decreases the cost, this decrease, and the damping of the next step.
+    """Return the fit after a step that decreases the objective, this decrease, and the next step's damping.
 
     The fit is unchanged, with a decrease of 0, if no damping leads to such a step.
     """
@@ -94,7 +92,7 @@ def _damped_fit(
     def penalty(at: Values) -> float:  # sum_k (x_k / width_k)^2
         return float(((problem.coordinates(at, fit.columns) / width) ** 2).sum())
 
-    # Damping lambda as by Marquardt: a tenth after a step that decreases the cost, else ten times as much.
+    # Damping lambda as by Marquardt: a tenth after a step that decreases the objective, else ten times it.
     while damping < MOST_DAMPING:
         trial = _damped_step(problem, fit, damping, width)
         squares = problem.squares(trial)
@@ -166,7 +164,7 @@ def estimate_noise(problem: Problem) -> tuple[Problem, FittedValues]:
         noise_model = estimate(problem.flights, errors, problem.split(problem.weight))
         problem = problem.whitened(noise_model, problem.corrected(values))
         problem = dataclasses.replace(problem, weight=model_error_weights(problem, predicted, errors))
-        if np.allclose(noise_model.size, before.size, rtol=SETTLED, atol=SMALL_SIZE):
+        if np.allclose(*([c.size for c in model] for model in (noise_model, before)), SETTLED, SMALL_SIZE):
             break
     return dataclasses.replace(problem, inflation=variance_inflation(problem, values)), values
 
@@ -201,9 +199,10 @@ def model_error_weights(
     weights = problem.logged / np.take_along_axis(variance, best[None, None], axis=0)[0]
     # A turn asks for a torque about z that is not predicted: such windows say nothing of a steady one, and
     # count for no more than in the noise's estimate.
-    for k in range(len(problem.flights)) if problem.requested else ():
-        own = problem.flight_of == k
-        weights[own, -1] *= winsorised(error[own, -1] * weights[own, -1])
+    if problem.requested:
+        for k in range(len(problem.flights)):
+            own = problem.flight_of == k, YAW_REQUEST_CHANNEL
+            weights[own] *= winsorised(error[own] * weights[own])
     return weights
 
 

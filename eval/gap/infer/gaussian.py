@@ -50,6 +50,9 @@ ACTIVE_SET_ROUNDS = 4  # of the mode of a truncated normal distribution
 # variance (SHAPE_COVARIANCE), and sqrt(0.125) = 0.35.
 MOST_SPIKE = 0.5
 MOST_SPIKE_ABOUT = 0.3
+MOST_BETWEEN_LOOPS = (
+    0.5  # largest between-flight deviation of attitude loops, in slabs: no loop is as modelled
+)
 EM_ROUNDS = 3  # more let the between-flight variance of confounded parameters run away
 PRIOR_FLIGHTS = 2.0  # weight of the prior between-flight variance (inverse gamma), in flights
 
@@ -64,7 +67,7 @@ class Spread:
     """The spread between flights in every parameter, and what shares its information, by key."""
 
     # Between-flight standard deviation; effective number of columns collinear with it, and of flights that
-    # excite it, both at least 1.
+    # excite it, both at least 1. Of a pair of columns, which has one key, these are the second's.
     between: Mapping[Key, float] = dataclasses.field(default_factory=dict)
     confounded: Mapping[Key, float] = dataclasses.field(default_factory=dict)
     excitation: Mapping[Key, float] = dataclasses.field(default_factory=dict)
@@ -140,9 +143,9 @@ def _between_by_em(problem: Problem, linear: Linearisation, unit: np.ndarray) ->
     deviation = np.where(loop, np.maximum(manoeuvre, [p.negligible for p in parameters]) / unit, 1.0)
     prior_variance = np.maximum(BETWEEN, deviation) ** 2
     variance, eye = prior_variance.copy(), np.eye(len(unit))
-    # Bounds: for the attitude loops half a slab, for the rest a whole one (days differ as vehicles do). What
-    # an effect is relative to (a reference) has no size that could vary.
-    most = np.maximum(prior_variance, np.where(loop, MOST_SPIKE**2, 1.0) / slab_information)
+    # Bounds: for the attitude loops a part of a slab, for the rest a whole one (days differ as vehicles do).
+    # What an effect is relative to (a reference) has no size that could vary.
+    most = np.maximum(prior_variance, np.where(loop, MOST_BETWEEN_LOOPS**2, 1.0) / slab_information)
     has_size = np.array([not p.is_reference for p in parameters])
     share = PRIOR_FLIGHTS / (PRIOR_FLIGHTS + problem.groups)
     for _ in range(EM_ROUNDS):
@@ -165,12 +168,16 @@ class Bounds(NamedTuple):
 
     low: np.ndarray  # (P,)
     high: np.ndarray  # (P,)
-    pairs: np.ndarray  # (n, 6) see `_PairBounds`: numbers alone, for the kernels
+    # Of the n effects about a reference, whose size is the sum of two columns:
+    seconds: np.ndarray  # (n,) the second column, about the highest reference, next to the other
+    sizes: np.ndarray  # (n, 2) bounds of the size
+    shares: np.ndarray  # (n, 2) bounds of the second column's share of it, which the reference determines
 
     @staticmethod
     def of(candidates: Candidates, columns: Sequence[Column], unit: np.ndarray) -> Bounds:
         """Return the bounds in units (P,), from neutral."""
-        low, high, pairs = np.full(len(columns), -np.inf), np.full(len(columns), np.inf), []
+        low, high = np.full(len(columns), -np.inf), np.full(len(columns), np.inf)
+        seconds, sizes, shares = list[int](), list[float](), list[float]()
         for k, column in enumerate(columns):
             if not isinstance(column, ParameterColumn):
                 continue
@@ -182,38 +189,22 @@ class Bounds(NamedTuple):
                 effect = candidates.library[column.effect]
                 about = effect.reference
                 assert about is not None  # a fixed parameter is a reference
-                shares = sorted(effect.at_ends(1.0, x)[1] for x in about.possible)
-                pairs.append(_PairBounds(k - 1, k, least, most, shares[0], shares[1]))
-        return Bounds(low, high, np.array(pairs, float).reshape(-1, 6))
-
-
-class _PairBounds(NamedTuple):
-    """Bounds of the two columns of an effect about a reference, of which one size is the sum."""
-
-    first: int  # index of the column about the lowest reference
-    second: int  # and about the highest
-    least: float  # bounds of the size
-    most: float
-    least_share: float  # bounds of the second column's share of it, which the reference determines
-    most_share: float
+                seconds.append(k)
+                sizes += least, most
+                shares += sorted(effect.at_ends(1.0, x)[1] for x in about.possible)
+        of_pairs = np.array(sizes).reshape(-1, 2), np.array(shares).reshape(-1, 2)
+        return Bounds(low, high, np.array(seconds, int), *of_pairs)
 
 
 @numba.njit(cache=True, nogil=True)
 def clipped(at, bounds):
     """Return coordinates (P,) clipped to the bounds."""
     result = np.minimum(np.maximum(at, bounds.low), bounds.high)
-    for pair in bounds.pairs:  # see `_PairBounds`
-        i, j, least, most, least_share, most_share = (
-            int(pair[0]),
-            int(pair[1]),
-            pair[2],
-            pair[3],
-            pair[4],
-            pair[5],
-        )
+    for j, sizes, shares in zip(bounds.seconds, bounds.sizes, bounds.shares):
+        i = j - 1
         size = at[i] + at[j]
-        share = min(max(at[j] / size if size != 0.0 else 0.5, least_share), most_share)
-        size = min(max(size, least), most)
+        share = min(max(at[j] / size if size != 0.0 else 0.5, shares[0]), shares[1])
+        size = min(max(size, sizes[0]), sizes[1])
         result[i], result[j] = size * (1.0 - share), size * share
     return result
 
@@ -304,7 +295,7 @@ class LinearGaussian:
     def for_sizes_of(self, names: EffectSet) -> LinearGaussian:
         """Return the model from which sizes of a set are read: some effects have slabs LARGE times as wide.
 
-        These are columns for which both holds:
+        These are the columns that meet both conditions:
         - They are large: the mode exceeds the slab's standard deviation. With the usual slab, the errors of
           the identified vehicle would take a share of them.
         - The flights show them apart from the others of the set: with wide slabs for all large columns, the
@@ -389,8 +380,8 @@ class LinearGaussian:
         a, b = self.flight_a[flight], self.flight_b[flight]
         return np.linalg.solve(a + np.diag(1.0 / self.between), b - a @ change)
 
-    def estimates(self, values: Values) -> dict[tuple[str, str], ParameterEstimate]:
-        """Return (effect, parameter) -> its standard errors and random effects, for the set of `values`."""
+    def parameter_errors(self, values: Values) -> dict[tuple[str, str], ParameterErrors]:
+        """Return (effect, parameter) -> its standard error and random effects, for the set of `values`."""
         names = frozenset(values)
         change, _ = self.posterior(names)
         _, covariance = self.change(names)
@@ -404,7 +395,7 @@ class LinearGaussian:
             square = variance[k[0]] if len(k) == 1 else covariance[np.ix_(k, k)].sum()
             p = self.candidates.parameter(self.columns[k[0]])
             unit = self.unit[k[0]] * p.slope(values[name][parameter])
-            result[name, parameter] = ParameterEstimate(
+            result[name, parameter] = ParameterErrors(
                 error=float(np.sqrt(max(0.0, square)) * unit),
                 deviation=deviation[:, k].sum(axis=1) * unit,
                 between=float(np.sqrt(self.between[k].mean()) * unit),
@@ -413,7 +404,7 @@ class LinearGaussian:
 
 
 @dataclasses.dataclass(frozen=True)
-class ParameterEstimate:
+class ParameterErrors:
     """Standard error, random effects and between-flight deviation of a parameter, in its unit."""
 
     error: float  # standard error
@@ -462,9 +453,8 @@ class Evidence:
         k = np.concatenate(columns)
         at, score = self._mode(k, np.ones(len(k)))
         far = np.abs(at[k]) > LARGE_BEYOND * np.sqrt(self.slab[k, k])
-        if (
-            far.any()
-        ):  # scale mixture: the wider component, with its odds for every such size, where that is more
+        # Scale mixture: the wider component, with its odds for every such size, where that is more probable
+        if far.any():
             at_large, large = self._mode(k, np.where(far, LARGE, 1.0))
             large += far.sum() * math.log(LARGE_ODDS)
             if large > score:
@@ -477,8 +467,9 @@ class Evidence:
         """Return the log prior of a size about a reference, less that of its columns' bivariate normal."""
         # A size s about a reference at the share t from the middle: low = s (1/2 - t), high = s (1/2 + t).
         # Change of variables (low, high) -> (s, t), Jacobian |s|:  log [N(s; 0, w^2) N(t; 0, 1/4) / |s|]
-        # less the log density of N(0, SHAPE_COVARIANCE w^2), in which t is half as wide. The least |s| taken
-        # is w/10: without a size any reference does.
+        # less the log density of N(0, SHAPE_COVARIANCE w^2). That stands for t ~ N(0, 1/16), half as wide,
+        # since the pair's covariance must exceed the spikes'. The least |s| taken is w/10: without a size any
+        # reference does. It is at most 0, so that no set gains by a size near zero, where 1/|s| is large.
         width = math.sqrt(self.slab[self.own[name][0], self.own[name][0]] / SHAPE_COVARIANCE[0, 0])
         s, ends = low + high, np.array([low, high]) / width
         t = 0.5 * (high - low) / s if s else math.inf
@@ -497,10 +488,11 @@ def _bounded_mode(a, b, slab, bounds, k, times):
     """Return the bounded mode (P,) of the columns k, slabs `times` (k,) as wide; gain of the log evidence."""
     # With V = L L' the additional prior covariance, a and b those of the columns k, and F F' = 1 + L' a L:
     #   H = F^-1 L',   mode H' H b,   covariance H' H,   log p = log p_0 + 1/2 |H b|^2 - log det F
-    # V is the slab less the spike, which every set has and is 1 in its own units; 1e-6 at least is left.
+    # V is the slab less the spike, which every set has and is 1 in its own units. Slabs are wider than spikes
+    # (MOST_SPIKE).
     eye, prior = np.eye(len(k)), slab[k][:, k] * np.outer(times, times)
     for i in range(len(k)):
-        prior[i, i] -= 1.0 - max(1e-9, 1e-6 - (prior[i, i] - 1.0))
+        prior[i, i] -= 1.0 - 1e-9
     root = np.linalg.cholesky(prior)
     factor = np.linalg.cholesky(eye + root.T @ (np.ascontiguousarray(a[k][:, k]) @ root))
     half = np.linalg.solve(factor, np.ascontiguousarray(root.T))

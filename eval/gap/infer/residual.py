@@ -23,7 +23,7 @@ from inclined_landing.eval.gap.infer.gaussian import EffectSet, LinearGaussian
 from inclined_landing.eval.gap.infer.sets import SetPosterior
 from inclined_landing.eval.gap.measured.noise import ErrorResponses
 from inclined_landing.eval.gap.measured.windows import MeasuredFlight
-from inclined_landing.eval.gap.model.prediction import CHANNELS, UNITS_OF, channels_of
+from inclined_landing.eval.gap.model.prediction import POSE_CHANNELS, UNITS_OF, channels_of
 from inclined_landing.eval.gap.model.problem import Problem
 from inclined_landing.eval.gap.model.reference import LINEAR, TARGETS, TIME, Basis, ReferenceResidual
 from inclined_landing.eval.gap.result import HORIZON, Dependence, Quantity, ResidualAnalysis
@@ -154,18 +154,19 @@ class _RidgeRegression:
     b: np.ndarray  # (k, D) features times residual, of every block
     fold_of: np.ndarray  # (k,) group of every block: its fold in cross-validation
     ridge: float
-    form: np.ndarray  # (k, k) see `gain_matrix`
+    gain_matrix: np.ndarray  # (k, k) see `gain_matrix`
 
     @property
     def gain(self) -> float:
         """Return the cross-validated decrease of the squared error."""
-        return float(self.form.sum())
+        return float(self.gain_matrix.sum())
 
     def scores(self, signs: np.ndarray) -> np.ndarray:
         """Return the gains (s,) under sign flips (s, k), standardised over all flips."""
         # s'Qs with independent signs:  mean tr Q,  variance 1/2 sum_(i != j) (Q_ij + Q_ji)^2
-        gains = np.einsum("sg,gh,sh->s", signs, self.form, signs, optimize=True) - np.trace(self.form)
-        apart = self.form + self.form.T
+        q = self.gain_matrix
+        gains = np.einsum("sg,gh,sh->s", signs, q, signs, optimize=True) - np.trace(q)
+        apart = q + q.T
         np.fill_diagonal(apart, 0.0)
         return gains / max(np.sqrt(0.5 * (apart**2).sum()), 1e-12)
 
@@ -181,7 +182,7 @@ class _RidgeRegression:
         return float(np.clip(gain.sum() / max(predicted.sum(), 1e-12), 0.0, 1.0))
 
     def cross_validated_gain(self) -> tuple[np.ndarray, np.ndarray]:
-        """Return the decrease of the squared error (g,) of every held-out group, and the predicted one."""
+        """Return the decrease of the squared error (g,) of every group left out, and the predicted one."""
         # With the weights w_-g of the other groups:  gain 2 b_g'w - w'a_g w,  predicted w'a_g w
         gain, predicted = np.zeros((2, len(self.a)))
         for g in range(len(self.a)):
@@ -290,7 +291,7 @@ def _dependence(
 def _displacement(
     problem: Problem, function: _RidgeRegression, basis: Basis, regressor: Regressor, vehicle: Vehicle
 ) -> Quantity:
-    """Return the displacement [m] over HORIZON that a function explains in held-out flights.
+    """Return the displacement [m] over HORIZON that a function explains in flights left out.
 
     Root mean square by the function fitted to the other flights, times the root of its optimal shrinkage; the
     95 % interval is a bootstrap over groups of windows.
@@ -328,7 +329,7 @@ def _displacement_response(flight: MeasuredFlight, target: str, vehicle: Vehicle
     """Return the impulse response (r,): displacement [m] after HORIZON per unit of a target in each row."""
     # Position by an acceleration in each row, h; by an angular acceleration, through g times the angle: g h H
     impulse = ErrorResponses.of(round(HORIZON / flight.dt), flight.dt, vehicle).impulse
-    of_position, of_angle = impulse[CHANNELS.index("x")][-1], impulse[CHANNELS.index("roll")]
+    of_position, of_angle = impulse[POSE_CHANNELS.index("x")][-1], impulse[POSE_CHANNELS.index("roll")]
     if target not in ("roll", "pitch"):
         return of_position
     return vehicle.environment_gravity * of_position @ of_angle
@@ -343,7 +344,7 @@ _ALONG_HEADING: dict[str, tuple[Callable[[np.ndarray], np.ndarray], ...]] = {
 
 def _channels(target: str) -> tuple[int, ...]:
     """Return the channels that a target acts on."""
-    return (0, 1) if target in _ALONG_HEADING else (CHANNELS.index(target),)
+    return (0, 1) if target in _ALONG_HEADING else (POSE_CHANNELS.index(target),)
 
 
 def _basis(problem: Problem, regressor: Regressor) -> Basis:
@@ -393,8 +394,8 @@ def _fit(
                 error = error - slopes @ known
             np.add.at(b, k, np.einsum("wqd,wq->wd", slopes, error, optimize=True))
     # Prior of the weights N(0, size^2), size that of the disturbance:  ridge = 1 / size^2
-    least = EXPECTED_SIZE[UNITS_OF[CHANNELS[channels[0]]]]
-    ridge = 1.0 / max(float(problem.noise_model.size[list(channels)].max()), least) ** 2
+    least = EXPECTED_SIZE[UNITS_OF[POSE_CHANNELS[channels[0]]]]
+    ridge = 1.0 / max(*(problem.noise_model[k].size for k in channels), least) ** 2
     fold_of = np.array([problem.group_of[np.argmax(block_of == k)] for k in range(len(b))])
     return _RidgeRegression(target, name, a, b, fold_of, ridge, gain_matrix(a, b, fold_of, ridge))
 

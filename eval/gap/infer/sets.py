@@ -125,13 +125,6 @@ class _Prediction(NamedTuple):
     far_start: FittedValues  # of an effect of the set whose slopes at neutral mislead, if there is one
 
 
-class _FarStart(NamedTuple):
-    """A distant start of an effect's fit."""
-
-    values: FittedValues  # of that effect
-    gain: float  # nat
-
-
 class _Fits:
     """Sets of effects fitted through the simulator, and the search for the most probable ones."""
 
@@ -165,13 +158,14 @@ class _Fits:
             nonzero = _all_nonzero(problem, names, mode)
             score = evidence(names) + log_prior(problem, names) if nonzero else -np.inf
             at = problem.coordinates(values, columns)
-            next_values, step = mode, problem.coordinates(mode, columns) - at  # a full Newton step
+            next_values, distance = mode, problem.coordinates(mode, columns) - at  # a full Newton step
             if best is None or score > best.score:
                 best = FittedSet(names, mode, local, evidence, score)
             elif np.isfinite(best.score):  # back to the middle between the best and here
                 best_at = problem.coordinates(best.local.values, columns)
-                next_values, step = problem.values_at(names, columns, 0.5 * (best_at + at)), at - best_at
-            in_negligible = step / [problem.parameter(c).negligible for c in columns]
+                next_values = problem.values_at(names, columns, 0.5 * (best_at + at))
+                distance = at - best_at
+            in_negligible = distance / [problem.parameter(c).negligible for c in columns]
             if score < rough_below or np.abs(in_negligible).max() < STEP_TOLERANCE:
                 break
             values = next_values
@@ -193,7 +187,7 @@ class _Fits:
         """
         problem, fitted = self.problem, self.by_set
         fitted |= {names: self.fit(names, joint) for names in starts}
-        for start in self._about_other_references():
+        for start in self._starts_without_size():
             fit = self.fit(frozenset(start), start)
             if fit.names not in fitted or fit.score > fitted[fit.names].score:
                 fitted[fit.names] = fit
@@ -229,16 +223,16 @@ class _Fits:
         for names in _neighbours(self.problem, fit):
             score = fit.evidence(names) + log_prior(self.problem, names)
             result[names] = _Prediction(score, fit, known[names].far_start if names in known else {})
-        for name, far in self._far_starts(fit.values).items():
+        for name, far in self._far_starts(fit).items():
             confused = [n for n in self.problem.library[name].confused_with if n in fit.names]
             for names in (fit.names | {name}, *(fit.names - {n} | {name} for n in confused)):
                 here = result.get(names) or known.get(names)  # neither: the set would be too large
                 if here is not None and names not in self.by_set:
-                    result[names] = _Prediction(max(here.score, fit.score + far.gain), fit, far.values)
+                    result[names] = far._replace(score=max(here.score, far.score))
         return result
 
-    def _about_other_references(self) -> list[FittedValues]:
-        """Return single effects about the references of their starts, sized by the slopes there."""
+    def _starts_without_size(self) -> list[FittedValues]:
+        """Return single effects about those starts that give only a reference, sized by the slopes there."""
         problem, result = self.problem, []
         for name, effect in problem.library.items():
             for about in fitting(name).starts:
@@ -251,21 +245,21 @@ class _Fits:
                     result.append({name: {**mode[name], **about}})
         return result
 
-    def _far_starts(self, values: Values) -> dict[str, _FarStart]:
-        """Return the distant starts of effects outside `values` from which these fit better.
+    def _far_starts(self, fit: FittedSet) -> dict[str, _Prediction]:
+        """Return the predictions with effects outside a fit that fit better from a distant start.
 
         If an effect is not linear in its size, the slopes at neutral may show nothing.
         """
         # Squared white errors are a deviance, -2 log p + constant: log p gains half of what they decrease by.
-        here, result = self.problem.squares(values), {}
+        here, result = self.problem.squares(fit.values), {}
         for name, effect in self.problem.library.items():
-            if name in values:
+            if name in fit.values:
                 continue
             tried = [{**effect.neutral, **start} for start in fitting(name).starts]
-            gains = [0.5 * (here - self.problem.squares({**values, name: start})) for start in tried]
+            gains = [0.5 * (here - self.problem.squares({**fit.values, name: start})) for start in tried]
             if gains and max(gains) > FIT_WITHIN:
                 best = int(np.argmax(gains))
-                result[name] = _FarStart({name: tried[best]}, gains[best])
+                result[name] = _Prediction(fit.score + gains[best], fit, {name: tried[best]})
         return result
 
     def drop_worse_than_subsets(self) -> None:

@@ -32,10 +32,9 @@ MEDIUM_TIME = 0.3  # s, in the middle of these (in logarithms): where there is n
 SIZE_FACTORS = np.geomspace(0.02, 3.0, 36)
 NOISE_VARIANCES = np.geomspace(0.5, 8.0, 13)  # over those estimated from the log, which a filter may lower
 BOOTSTRAP_SAMPLES = 200
-OUTLYING = (
-    4.0  # medians of the mean squares of a flight's windows, as which larger ones count: of good errors
-)
-# with ten degrees of freedom one window in 20 000 is as large
+# Medians of the mean squares of a flight's windows, as which larger ones count. Good errors of ten degrees of
+# freedom, fewer than any window has at 50 Hz or more, are as large in one window of 20 000.
+OUTLYING = 4.0
 
 
 @dataclasses.dataclass(frozen=True)
@@ -141,20 +140,18 @@ class Whitening:
         error_responses: ErrorResponses,
         noise: np.ndarray,
         acceleration: np.ndarray,
-        size: np.ndarray | None = None,
-        time: np.ndarray | None = None,
+        disturbances: NoiseModel = (),
     ) -> Whitening:
         """Return the whitening for noise (C,) of every channel and (3,) of the acceleration [m/s2].
 
-        size, time (C,): of the disturbance in every channel [m/s2, rad/s2], [s]; None: no disturbance.
+        disturbances: those in every channel; empty: none.
         """
         # C = L L';  W = L^-1 N',  so that W e is white with unit variance
         whitening = []
         for channel, free in enumerate(error_responses.projection):
             covariance = error_responses.noise(channel, noise, acceleration)
-            if size is not None and time is not None and size[channel] > 0.0:
-                disturbance = error_responses.disturbance(channel, time[channel])
-                covariance = covariance + size[channel] ** 2 * disturbance
+            if disturbances and (one := disturbances[channel]).size > 0.0:
+                covariance = covariance + one.size**2 * error_responses.disturbance(channel, one.time)
             factor = cholesky(covariance, lower=True)
             whitening.append(solve_triangular(factor, free.T, lower=True))
         matrices = np.array(whitening)
@@ -181,36 +178,17 @@ class Whitening:
         return np.einsum("cq,cq->c", self.unit_response, self.unit_response)
 
 
-@dataclasses.dataclass(frozen=True)
-class NoiseModel:
-    """Ornstein-Uhlenbeck disturbance in x, y, z [m/s2], roll, pitch, yaw [rad/s2] and requests [1]."""
+class ChannelNoise(NamedTuple):
+    """Noise and Ornstein-Uhlenbeck disturbance of one channel; by default what the log shows, and none."""
 
-    size: np.ndarray  # (C,) standard deviation
-    size_ci95: np.ndarray  # (2, C)
-    time: np.ndarray  # (C,) s, correlation time
-    time_ci95: np.ndarray  # (2, C)
-    noise: np.ndarray  # (C,) measurement noise over that estimated from each log, at least 0.7
-
-    @staticmethod
-    def none(channels: int) -> NoiseModel:
-        """Return zero disturbance and the noise estimated from the logs."""
-        return NoiseModel.of([_ChannelNoise()] * channels)
-
-    @staticmethod
-    def of(channels: Sequence[_ChannelNoise]) -> NoiseModel:
-        """Return the noise model of some channels (C,)."""
-        size, size_ci95, time, time_ci95, noise = (np.array(x) for x in zip(*channels))
-        return NoiseModel(size, size_ci95.T, time, time_ci95.T, noise)
-
-
-class _ChannelNoise(NamedTuple):
-    """Noise and disturbance of one channel, see `NoiseModel`; by default what the log shows, and none."""
-
-    size: float = 0.0
+    size: float = 0.0  # m/s2, rad/s2, requests 1: standard deviation
     size_ci95: tuple[float, float] = (0.0, 0.0)
-    time: float = MEDIUM_TIME
+    time: float = MEDIUM_TIME  # s, correlation time
     time_ci95: tuple[float, float] = (MEDIUM_TIME, MEDIUM_TIME)
-    noise: float = 1.0
+    noise_ratio: float = 1.0  # measurement noise over that estimated from each log, at least 0.7
+
+
+NoiseModel = tuple[ChannelNoise, ...]  # of every channel
 
 
 def estimate(
@@ -227,7 +205,7 @@ def estimate(
     if weights is not None:
         windows = [w * np.sqrt(counts)[:, None] for w, counts in zip(windows, weights)]
     channels = range(flights[0].channels)
-    return NoiseModel.of(two_at_a_time(lambda c: _fit_channel(flights, windows, c), channels))
+    return tuple(two_at_a_time(lambda c: _fit_channel(flights, windows, c), channels))
 
 
 class _Modes(NamedTuple):
@@ -238,11 +216,11 @@ class _Modes(NamedTuple):
     windows: int
 
 
-def _fit_channel(flights, windows, channel: int) -> _ChannelNoise:
+def _fit_channel(flights, windows, channel: int) -> ChannelNoise:
     """Return the noise and disturbance of a channel, with intervals by a bootstrap over flights."""
     parts = [_simultaneous_modes(f, w, channel) for f, w in zip(flights, windows) if f.logged[channel]]
     if not parts:
-        return _ChannelNoise()
+        return ChannelNoise()
     # The size at which the disturbance alone, of a medium correlation time, would explain the errors.
     medium = [part[len(TIMES) // 2] for part in parts]
     typical = np.median([modes.squares.mean() / modes.variances.mean() for modes in medium])
@@ -252,19 +230,19 @@ def _fit_channel(flights, windows, channel: int) -> _ChannelNoise:
     at_time, at_noise, at_size = np.unravel_index(int(np.argmax(total)), total.shape)
     size = _parabola_vertex(np.log(sizes), total[at_time, at_noise], at_size)
     time = _parabola_vertex(np.log(TIMES), total[:, at_noise, at_size], at_time)
-    noise = float(np.sqrt(NOISE_VARIANCES[at_noise]))
-    # Where the likelihood is largest in every sample of the flights, the noise as it is.
+    noise_ratio = float(np.sqrt(NOISE_VARIANCES[at_noise]))
+    # Maximise the likelihood in every bootstrap sample of the flights, the noise variance fixed.
     rng = np.random.default_rng((0, channel))
     counts = rng.multinomial(len(parts), np.full(len(parts), 1.0 / len(parts)), BOOTSTRAP_SAMPLES)
     drawn = np.tensordot(counts, by_flight[:, :, at_noise, :], axes=1)  # (BOOTSTRAP_SAMPLES, times, sizes)
     places = [np.unravel_index(int(np.argmax(x)), x.shape) for x in drawn]
-    time_low, time_high = np.quantile([TIMES[k] for k, _ in places], [0.025, 0.975])
-    size_low, size_high = np.quantile([sizes[k] for _, k in places], [0.025, 0.975])
+    time_low, time_high = np.quantile([TIMES[k] for k, _ in places], [0.025, 0.975]).tolist()
+    size_low, size_high = np.quantile([sizes[k] for _, k in places], [0.025, 0.975]).tolist()
     if at_size == 0:  # the smallest size of the grid: no disturbance
-        return _ChannelNoise(0.0, (0.0, float(size_high)), time, (time_low, time_high), noise)
+        return ChannelNoise(0.0, (0.0, size_high), time, (time_low, time_high), noise_ratio)
     size_ci95 = (min(size, size_low), max(size, size_high))
     time_ci95 = (min(time, time_low), max(time, time_high))
-    return _ChannelNoise(size, size_ci95, time, time_ci95, noise)
+    return ChannelNoise(size, size_ci95, time, time_ci95, noise_ratio)
 
 
 def _simultaneous_modes(flight, windows: np.ndarray, channel: int) -> list[_Modes]:

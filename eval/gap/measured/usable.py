@@ -35,7 +35,7 @@ MOMENT = 0.1  # s: a vehicle that hits something stops within
 DIGIT = 1e-4  # m or rad, to which poses are compared: a file may have been written again with fewer digits
 NUMBER_BITS = 53  # of the number of a pose: the most that a JSON reader with floats keeps exactly
 SAMPLED = 16  # of so many rows, one is kept to recognise a flight by
-SAME = 0.5  # share of its poses that a flight has in common with itself, cut out and written again
+SAME = 0.5  # common share of poses above which two logs are one flight
 DIFFERENT = "fitting and evaluation need different flights"
 AFTER_THRUST = 1.0  # s after the last commanded thrust in which a vehicle may still fall over
 

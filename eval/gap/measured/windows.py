@@ -30,7 +30,7 @@ WINDOW = 0.6  # s
 RATE = 100.0  # rows per second, at most, that the windows are made of
 SMOOTHING = 0.1  # s to either side of a sample, for velocities
 SKIP_AT_START = 0.25  # s of a log, and after a gap, for the unknown thrust lag to decay
-REGIMES = ("hover", "climb", "lateral", "attitude_step", "near_surface", "low_battery")
+WINDOW_REGIMES = ("hover", "climb", "lateral", "attitude_step", "near_surface", "low_battery")
 # Where a regime begins. Regimes group errors in the report and decide no name, so round numbers do.
 NEAR = 0.15  # m above a surface: a few rotor radii, within which the ground effect shows
 LOW_BATTERY = 3.4  # V under load
@@ -50,6 +50,7 @@ THROUGH_SLAB = 0.02  # m that a position over the slab may be measured below its
 LEAST_POSITION_NOISE, LEAST_ANGLE_NOISE = 1e-4, 3e-4
 LEAST_REQUEST_NOISE = 1e-3  # of the sum of all requests
 YAW = 5  # channel
+TILT_OVER_ANGLES = 1.5  # of root mean squares: sqrt(2), a little more where the larger tilts say most
 KEPT_ATTITUDES = 10  # results of `MeasuredFlight.attitude_of`; with more, all are forgotten
 # Signs of the motors M1 (front right), M2 (back right), M3 (back left) and M4 (front left) in a positive
 # torque about the body's x, y and z axes (M2 and M4 turn clockwise).
@@ -115,7 +116,7 @@ class MeasuredFlight:
 
     @cached_property
     def regimes(self) -> np.ndarray:
-        """Return the regimes (w, len(REGIMES)) of the windows, bool."""
+        """Return the regimes (w, len(WINDOW_REGIMES)) of the windows, bool."""
         speed = self.cut(self.velocity)
         horizontal = np.hypot(speed[..., 0], speed[..., 1]).mean(axis=1)
         vertical = np.abs(speed[..., 2]).mean(axis=1)
@@ -147,8 +148,8 @@ class MeasuredFlight:
 
     def whitened(self, error_responses: ErrorResponses, noise_model: NoiseModel) -> MeasuredFlight:
         """Return the flight whitened with measurement noise and disturbance of a noise model."""
-        noise, size, time = self.noise * noise_model.noise, noise_model.size, noise_model.time
-        whitening = Whitening.of(error_responses, noise, self.acceleration_noise, size, time)
+        noise = self.noise * [one.noise_ratio for one in noise_model]
+        whitening = Whitening.of(error_responses, noise, self.acceleration_noise, noise_model)
         return dataclasses.replace(self, error_responses=error_responses, whitening=whitening)
 
     def with_request_slope(self, slope: float) -> MeasuredFlight:
@@ -440,9 +441,9 @@ def _window_starts(usable: np.ndarray, rows: int) -> np.ndarray:
 def _acceleration_noise(noise: np.ndarray, attitude: np.ndarray, vehicle: Vehicle) -> np.ndarray:
     """Return the noise (3,) of the predicted acceleration [m/s2] by the attitude noise."""
     # Thrust g tilted by the attitude error:  horizontal g sigma,  vertical g sigma sin(tilt),  where the tilt
-    # is sqrt(2) times the root mean square of roll and pitch, here 1.5 for the larger of turning flights.
+    # is sqrt(2) times the root mean square of roll and pitch: see TILT_OVER_ANGLES.
     g = vehicle.environment_gravity
-    tilt = 1.5 * math.sqrt(np.mean(attitude[:, :2] ** 2)) if len(attitude) else 0.0
+    tilt = TILT_OVER_ANGLES * math.sqrt(np.mean(attitude[:, :2] ** 2)) if len(attitude) else 0.0
     horizontal = g * math.sqrt(0.5 * (noise[3] ** 2 + noise[4] ** 2))
     return np.array([horizontal, horizontal, horizontal * min(1.0, tilt)])
 

@@ -23,7 +23,7 @@ from inclined_landing.eval.gap.measured.windows import MeasuredFlight
 from inclined_landing.eval.gap.model.prediction import CHANNEL_GROUPS
 from inclined_landing.models.attitude import LAG, STATE_SIZE
 from inclined_landing.models.effects import Effect, Parameter
-from inclined_landing.models.effects.effect import OFF
+from inclined_landing.models.effects.effect import REFERENCE_ERROR
 from inclined_landing.models.equations import derivative
 from inclined_landing.models.forces import settled_hover
 from inclined_landing.models.parameters import load_vehicle
@@ -57,6 +57,7 @@ BASE_DEVIATIONS = {
     **{f"yaw {what}": 0.07 for what in ("turn", "time")},
 }
 ALONE = 0.05  # share of these that is free where no flights of a reference have shown them, by hand as well
+WEIGHT_SLAB = 8.0  # standard deviation of the weight of a model error, in its negligible sizes
 WEIGHT_BOUND = 9.0  # of the weight of a model error: no bound, for one of the order of its deviation
 
 
@@ -89,7 +90,7 @@ class Fitting:
     # Errors of its formula that are free while it is named (see `columns`), and the standard deviation of
     # their weights.
     forms: tuple[str, ...] = ()
-    form: float = 0.05
+    form_deviation: float = 0.05
     # Standard deviation of the logarithm of its size, as what it acts by was identified in other conditions.
     extrapolated: float = 0.0
     same_as: tuple[str, ...] = ()  # effects that, together and of its size, are the same to every flight
@@ -110,7 +111,9 @@ _DELAYS = tuple({"delay": delay} for delay in (0.01, 0.025, 0.05, 0.08))
 _LOADS = tuple(
     {"mass": m, "length": length} for m in (0.0015, 0.004) for length in (0.12, 0.2, 0.3, 0.5, 0.8)
 )
-_ROTOR = Fitting(forms=("requests slope",), form=0.2, parameters={"loss": Variation(placement=0.015)})
+_ROTOR = Fitting(
+    forms=("requests slope",), form_deviation=0.2, parameters={"loss": Variation(placement=0.015)}
+)
 FITTING = {
     "thrust_delay": Fitting(starts=_DELAYS, parameters=_delay()),
     "attitude_delay": Fitting(starts=_DELAYS, parameters=_delay(0.008)),
@@ -122,18 +125,18 @@ FITTING = {
     # Its speed follows from its force by a drag that was identified at other air speeds: speeds of fans came
     # out 1.3 to 1.7 times as high, one in another simulator twice.
     "wind": Fitting(extrapolated=0.3),
-    "rotor_drag": Fitting(forms=("translation speed", "translation late"), form=0.15),
+    "rotor_drag": Fitting(forms=("translation speed", "translation late"), form_deviation=0.15),
     "com_offset": Fitting(
         starts=({"hold": 0.002},),
         forms=("requests slope",),
-        form=0.2,
+        form_deviation=0.2,
         parameters=dict.fromkeys("xy", Variation(placement=2e-4)),
     ),
     "attitude_time_constant": Fitting(
         starts=({"scale": 0.6}, {"scale": 1.7}, {"scale": 2.7}), parameters={"scale": Variation(0.12)}
     ),
     "second_order_attitude": Fitting(
-        forms=("attitude late",), form=0.2, parameters={"rate_lag": Variation(0.015)}
+        forms=("attitude late",), form_deviation=0.2, parameters={"rate_lag": Variation(0.015)}
     ),
     "attitude_integral": Fitting(parameters={"rate": Variation(0.1)}),
     "attitude_saturation": Fitting(parameters={"inverse": Variation(step=0.4)}),
@@ -257,11 +260,11 @@ class Candidates:
         bounds = -WEIGHT_BOUND, WEIGHT_BOUND
         if isinstance(column, BaseColumn):
             sd = BASE_DEVIATIONS[column.form]
-            return Parameter(column.form, bounds=bounds, plausible=sd, negligible=sd / OFF)
-        # Like a reference it has no size of its own: it is free while its effect is not neutral, and its slab
-        # has the standard deviation OFF * negligible (`slab_deviations`), which is `form`.
-        sd = fitting(column.effect).form
-        return Parameter(column.form, bounds=bounds, plausible=0.0, negligible=sd / OFF, is_reference=True)
+            return Parameter(column.form, bounds=bounds, plausible=sd, negligible=sd / WEIGHT_SLAB)
+        # Like a reference it has no size of its own, and the slab of one (`slab_deviations`): it is free
+        # while its effect is not neutral.
+        least = fitting(column.effect).form_deviation / REFERENCE_ERROR
+        return Parameter(column.form, bounds=bounds, plausible=0.0, negligible=least, is_reference=True)
 
     def variation(self, column: Column) -> Variation:
         """Return by how much what fits a column best varies."""
@@ -382,7 +385,8 @@ def slab_deviations(candidates: Candidates, columns: Sequence[Column]) -> np.nda
     width = []
     for column in columns:
         p = candidates.parameter(column)
-        width.append(OFF * p.negligible if p.is_reference else SLAB * abs(p.coordinate(p.plausible)))
+        plausible = SLAB * abs(p.coordinate(p.plausible))
+        width.append(REFERENCE_ERROR * p.negligible if p.is_reference else plausible)
     return np.array(width)
 
 

@@ -37,15 +37,15 @@ from inclined_landing.models.forces import (
 from inclined_landing.models.perturbation import NEUTRAL
 from inclined_landing.models.vehicle import Vehicle
 
-CHANNELS = ("x", "y", "z", "roll", "pitch", "yaw")  # of the pose
+POSE_CHANNELS = ("x", "y", "z", "roll", "pitch", "yaw")  # of the pose
 REQUEST_CHANNELS = ("roll request", "pitch request", "yaw request")
 # The unit of a disturbance in each channel.
 UNITS_OF = {
-    **dict.fromkeys(CHANNELS[:3], "m/s2"),
-    **dict.fromkeys(CHANNELS[3:], "rad/s2"),
+    **dict.fromkeys(POSE_CHANNELS[:3], "m/s2"),
+    **dict.fromkeys(POSE_CHANNELS[3:], "rad/s2"),
     **dict.fromkeys(REQUEST_CHANNELS, "1"),
 }
-ROLL_CHANNEL, YAW_CHANNEL = 3, 5
+ROLL_CHANNEL, YAW_CHANNEL, YAW_REQUEST_CHANNEL = 3, 5, 8
 # Powers of its command that a rotor's thrust may go with, chosen by hand about the shipped vehicle's, 1.
 LEAST_ELASTICITY, MOST_ELASTICITY = 0.7, 1.4
 # Channels of effects -> channels of a flight.
@@ -74,7 +74,7 @@ _constants_of_attitude = attrgetter(*_OF_THE_LOOPS, "effects_mocap_delay")
 
 def channels_of(flights) -> tuple[str, ...]:
     """Return the names of the channels (C,) of flights, or of a problem."""
-    return CHANNELS if flights.channels == len(CHANNELS) else CHANNELS + REQUEST_CHANNELS
+    return POSE_CHANNELS if flights.channels == len(POSE_CHANNELS) else POSE_CHANNELS + REQUEST_CHANNELS
 
 
 def predict(flight, vehicle: Vehicle) -> np.ndarray:
@@ -120,9 +120,8 @@ class _Group(NamedTuple):
     """Vehicles with one correction of the measured attitude, and what they share with the first of them."""
 
     own: np.ndarray  # (k,) their indices
-    same: (
-        np.ndarray
-    )  # (2, k) bool: whether the constants of translation, and of attitude, are those of the first
+    # (2, k) bool: whether the constants of translation, and of attitude, are those of the first
+    same: np.ndarray
 
     @staticmethod
     def of(vehicles: Sequence[Vehicle], own: Sequence[int]) -> _Group:
@@ -186,8 +185,8 @@ def requested_differences(flight, vehicle: Vehicle) -> np.ndarray:
     #   t_roll = y/arm,  t_pitch = -x/arm,  t_yaw = imbalance
     # the request of a motor that has lost the share l_i:  r_i ~ ((1 + sum_k s_ki t_k) / (1 - l_i))^(1/e),
     # e = d log F / d log PWM in hover, and the differences with the motion's torques J w'/(arm m g), to first
-    # order in these:  d_k = J_k w_k'/(arm m g e) + sum_i s_ki r_i / sum_i r_i. Products of both depend on how
-    # the thrust bends over its command, which no vehicle file says so exactly.
+    # order in these:  d_k = J_k w_k'/(arm m g e) + sum_i s_ki r_i / sum_i r_i. Products of both are
+    # neglected: no vehicle file gives the thrust's curvature accurately enough.
     x, y = np.array(vehicle.effects_com_offset) / vehicle.rotor_arm
     slope = flight.requests.slope or thrust_elasticity(vehicle)
     needed = 1.0 + np.array([y, -x, vehicle.effects_yaw_imbalance]) @ REQUEST_SIGNS

@@ -18,7 +18,7 @@ from functools import cached_property
 import numpy as np
 
 from inclined_landing.eval.gap import thresholds
-from inclined_landing.eval.gap.measured.noise import ErrorResponses, NoiseModel
+from inclined_landing.eval.gap.measured.noise import ChannelNoise, ErrorResponses, NoiseModel
 from inclined_landing.eval.gap.measured.windows import MeasuredFlight
 from inclined_landing.eval.gap.model.columns import (
     ALONE,
@@ -36,7 +36,7 @@ from inclined_landing.eval.gap.model.columns import (
 )
 from inclined_landing.eval.gap.model.prediction import (
     CHANNEL_GROUPS,
-    CHANNELS,
+    POSE_CHANNELS,
     predict,
     predictor,
     thrust_elasticity,
@@ -90,7 +90,7 @@ class Problem(Candidates):
         }
         if _wind_force(vehicle, kept) < thresholds.FEEBLE:
             kept = without(kept, "wind")
-        if channels > len(CHANNELS):
+        if channels > len(POSE_CHANNELS):
             kept = {name: effect.seen_in_requests() for name, effect in kept.items()}
             if reference is not None:
                 # Hover shows only the sum of errors of bias, scale and sag. Each alone would change the slope
@@ -104,7 +104,7 @@ class Problem(Candidates):
             flights=tuple(flights),
             reference=reference,
             model_errors=model_errors,
-            noise_model=NoiseModel.none(channels),
+            noise_model=(ChannelNoise(),) * channels,
             weight=windows.astype(float),
             inflation=np.ones(channels),
             form_jacobians=_form_jacobians(flights, vehicle),
@@ -132,7 +132,7 @@ class Problem(Candidates):
     @property
     def requested(self) -> bool:
         """Return whether the motors' requests were logged."""
-        return self.channels > len(CHANNELS)
+        return self.channels > len(POSE_CHANNELS)
 
     @property
     def identified(self) -> bool:
@@ -234,7 +234,7 @@ class Problem(Candidates):
         return lambda flight, jacobian: _with_model_errors(predicted(flight)[0], jacobian, values)
 
     def squares(self, values: Values) -> float:
-        """Return the weighted sum of squared white errors with effects at `values` (least-squares cost)."""
+        """Return the weighted sum of squared white errors with effects at `values` (least squares)."""
         return float(self.squares_by_channel(values).sum())
 
     def squares_by_channel(self, values: Values) -> np.ndarray:
@@ -332,7 +332,7 @@ class Problem(Candidates):
         ends = [0, *(np.flatnonzero(np.diff(groups)) + 1), len(groups)]  # of the groups' windows
         for channel, matrix in enumerate(flight.whitening.matrices):
             series = stack[:, :, channel]
-            live = _live(series, of_the_pose=channel < len(CHANNELS))
+            live = _live(series, of_the_pose=channel < len(POSE_CHANNELS))
             windows = np.take(series[live], of_windows, axis=1)  # (live, w, rows)
             white = (windows.reshape(-1, flight.rows) @ matrix.T).reshape(*windows.shape[:2], -1)
             white *= share[:, channel, None]

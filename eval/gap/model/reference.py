@@ -24,7 +24,7 @@ from inclined_landing.eval.gap.model.columns import (
     ParameterColumn,
     slab_covariance,
 )
-from inclined_landing.eval.gap.model.prediction import CHANNELS
+from inclined_landing.eval.gap.model.prediction import POSE_CHANNELS
 from inclined_landing.eval.gap.result import ReferenceErrors, from_plain, plain
 from inclined_landing.models.base import storage
 from inclined_landing.models.base.errors import UserError
@@ -35,7 +35,7 @@ from inclined_landing.models.vehicle import Vehicle
 SUFFIX = ".posterior.json"
 VERSION: Literal[5] = 5
 _NORMAL = 1.96  # half-width of a 95 % interval in standard deviations
-TARGETS = (*CHANNELS, "forward", "left")
+TARGETS = (*POSE_CHANNELS, "forward", "left")
 FEATURES = 24  # random Fourier features of a function
 KNOTS = 7  # radial basis functions along every input
 TIME_SPACING = 0.5  # s between those along the flight time

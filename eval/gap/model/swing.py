@@ -48,7 +48,7 @@ def pulled(acceleration, position, starts, rows, dt, vehicle, begun):
 
     acceleration (m - 1, 3): without the load. Both without gravity's. position (m, 3) [m] measured; starts
     (w,): first rows of the windows, of `rows` rows `dt` [s] apart. vehicle: see `forces.pack`. begun:
-    `Starts`, written where they are of nothing yet. From those of nearly the same accelerations with the same
+    `Starts`, filled at the first call. From those of nearly the same accelerations with the same
     load a single linear step leads to these.
     """
     v = vehicle[0]

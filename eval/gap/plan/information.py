@@ -16,7 +16,7 @@ import numpy as np
 from msgspec import structs
 
 from inclined_landing.eval.gap.infer.gaussian import BETWEEN, SPIKE
-from inclined_landing.eval.gap.measured.noise import Whitening
+from inclined_landing.eval.gap.measured.noise import ChannelNoise, Whitening
 from inclined_landing.eval.gap.measured.windows import MeasuredFlight, prepare
 from inclined_landing.eval.gap.model.columns import Candidates, ParameterColumn
 from inclined_landing.eval.gap.model.prediction import predict
@@ -150,14 +150,10 @@ class ModelDiscrimination:
 
     def gram(self, flight: MeasuredFlight) -> np.ndarray:
         """Return the Gram matrix (P, P) of the white directions on a flight."""
-        noise_levels = self.noise_levels
-        white_by = Whitening.of(
-            flight.error_responses,
-            noise_levels.noise,
-            flight.acceleration_noise,
-            noise_levels.disturbance,
-            noise_levels.time,
-        )
+        levels = self.noise_levels
+        noise_model = tuple(ChannelNoise(s, time=t) for s, t in zip(levels.disturbance, levels.time))
+        responses, acceleration_noise = flight.error_responses, flight.acceleration_noise
+        white_by = Whitening.of(responses, levels.noise, acceleration_noise, noise_model)
         base = predict(flight, self.base)
         slopes = [predict(flight, v) - base for v in self.vehicles]
         slopes += [

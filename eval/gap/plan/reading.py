@@ -10,7 +10,7 @@ from typing import Annotated, Any
 import numpy as np
 from msgspec import Meta, Struct, structs
 
-from inclined_landing.eval.gap.model.prediction import CHANNELS
+from inclined_landing.eval.gap.model.prediction import POSE_CHANNELS
 from inclined_landing.eval.gap.model.reference import VehiclePosterior, read_reference
 from inclined_landing.eval.gap.plan.information import NoiseLevels
 from inclined_landing.eval.gap.result import REFERENCE, VERSION, Diagnosis, ScoredSet, marginal
@@ -67,7 +67,7 @@ class PlanInput:
             probabilities |= {n: one.probability for n in one.effects if n not in probabilities}
         typical = NoiseLevels.typical()
         levels = np.array([typical.noise, typical.disturbance, typical.time])
-        for k, channel in enumerate(CHANNELS):
+        for k, channel in enumerate(POSE_CHANNELS):
             if known := report.disturbance.get(channel):
                 levels[:, k] = known.noise, known.size, known.time
         return PlanInput(

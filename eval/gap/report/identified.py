@@ -10,7 +10,7 @@ from inclined_landing.eval.base.claims import Section, Table
 from inclined_landing.eval.gap import thresholds
 from inclined_landing.eval.gap.answer.identification import PAPER_FIT, Identification, Identified
 from inclined_landing.eval.gap.report import words
-from inclined_landing.eval.gap.report.page import fill_in, limits, print_answer
+from inclined_landing.eval.gap.report.page import build_page, limits, print_answer
 from inclined_landing.models.effects import LIBRARY
 
 
@@ -43,7 +43,7 @@ def sentences(found: Identification) -> list[str]:
     those = "These constants differ" if len(values) > 1 else "This constant differs"
     lines = [f"{those}: {words.listed(values)}."] if values else []
     paper = f"The paper reports {PAPER_FIT:g} % for the attitude."
-    lines.append(f"Fit on held-out flights: {', '.join(fits)}. {paper}")
+    lines.append(f"Fit on flights not fitted: {', '.join(fits)}. {paper}")
     if found.ahead:
         before, after, floor = (words.centimetres(found.ahead[n]) for n in ("before", "after", "floor"))
         lines.append(
@@ -93,7 +93,7 @@ def identifiable_rows(found: Identification) -> list[tuple[str, str, str, str]]:
     rows = []
     for one in found.identifiable:
         confounded = words.labels(one.confounded[: words.NAMES], "or")
-        regimes = words.listed([words.REGIMES[r] for r in one.regimes], "or")
+        regimes = words.listed([words.REGIME_LABELS[r] for r in one.regimes], "or")
         share = f"{min(one.share, 1.0):.0%}".replace("%", " %")
         rows.append((words.label(one.effect), share, confounded, regimes))
     return rows
@@ -114,13 +114,13 @@ def page(found: Identification, *, heldout: Sequence[str], versions: dict, notes
     heads = ("effect", "standard error", "confounded with", "excited by")
     fits, shown = Table("", ("", "nominal", "identified"), fit), Table("", heads, identifiable_rows(found))
     sections = [
-        Section("fit", "Fit on held-out flights", text, tables=[fits]),
+        Section("fit", "Fit on flights not fitted", text, tables=[fits]),
         Section("differ", "Constants that differ", tables=[_table(changed_parameters(found))]),
         *limits(found, notes, heldout),
         Section("constants", "All constants", tables=[_table(found.parameters)]),
         Section("identifiable", "What these flights identify", identifiable, tables=[shown]),
     ]
-    return fill_in(sections, found, "identify", headline(found), " ".join(sentences(found)), versions)
+    return build_page(sections, found, "identify", headline(found), " ".join(sentences(found)), versions)
 
 
 def _table(parameters: Sequence[Identified]) -> Table:

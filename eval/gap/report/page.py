@@ -72,10 +72,10 @@ def page(
         *limits(d, notes, [name for name in d.heldout if name not in d.flights]),
         Section("probabilities", "Probabilities", each, tables=[probabilities]),
     ]
-    return fill_in(sections, d, "gap", words.headline(d), words.how_much(d), versions, images)
+    return build_page(sections, d, "gap", words.headline(d), words.how_much(d), versions, images)
 
 
-def fill_in(
+def build_page(
     sections: Sequence[Section],
     found: Diagnosis | Identification,
     command: str,
@@ -101,12 +101,11 @@ def effect_table(d: Diagnosis) -> Table:
     """Return the table of what to change; further sizes of an effect are rows of their own."""
     rows = []
     for one in words.answers(d):
-        last = (one.how, one.cost)
-        for size in one.sizes:
+        for k, size in enumerate(one.sizes):
             named = one.title + f", {size.parameter}" * bool(size.parameter)
-            rows.append((named, size.value, size.interval, *last))
-            last = ("", "")
-    return Table("", ("effect", "size", "95 % interval", "confidence", "error after 1 s"), rows, 1)
+            of_effect = (one.how, one.cost) if k == 0 else ("", "")
+            rows.append((named, size.value, size.interval, *of_effect))
+    return Table("", ("effect", "size", "95 % interval", "confidence", "error after 1 s"), rows, labels=1)
 
 
 def _error_tables(d: Diagnosis) -> list[Table]:
@@ -121,9 +120,9 @@ def _error_tables(d: Diagnosis) -> list[Table]:
     tables = [Table(f"Position error {ahead:.2g} s ahead", heads, lengths)]
     channels = tuple(dict.fromkeys(row.channel for row in d.where))
     cells = {(row.regime, row.channel): row for row in d.where}
-    regimes = [regime for regime in words.REGIMES if any(row.regime == regime for row in d.where)]
+    regimes = [regime for regime in words.REGIME_LABELS if any(row.regime == regime for row in d.where)]
     rows = [
-        (words.REGIMES[regime], *(_before_after(cells.get((regime, channel))) for channel in channels))
+        (words.REGIME_LABELS[regime], *(_before_after(cells.get((regime, channel))) for channel in channels))
         for regime in regimes
     ]
     caption = (
@@ -386,11 +385,11 @@ def overview(d: Diagnosis, one: Track | None) -> Figure:
 
 def caption(one: Track | None) -> str:
     """Return the caption of `overview`."""
-    text = "Position error on flights left out of the fit, as the effects are added."
+    text = "Position error on flights not fitted, as the effects are added."
     if one is None:
         return text
-    part = "left out of" if one.held_out else "part of"
+    part = "held out" if one.held_out else "part of the fit"
     return (
-        f"Above: {one.flight}, {part} the fit. Every {rollout.EVERY:g} s a prediction starts from the "
+        f"Above: {one.flight}, {part}. Every {rollout.EVERY:g} s a prediction starts from the "
         f"measured state, driven by the commands alone. Below: {text[0].lower()}{text[1:]}"
     )

@@ -20,7 +20,7 @@ from inclined_landing.eval.gap.result import (
 from inclined_landing.models.effects import LIBRARY
 
 NAMES = 3  # of an equivalence class in its title
-REGIMES = {
+REGIME_LABELS = {
     "hover": "hover",
     "climb": "climb and descent",
     "lateral": "fast lateral",
@@ -290,7 +290,7 @@ def answers(d: Diagnosis) -> list[Answer]:
         found.append(
             Answer(
                 title=f"unknown, {axis(one)}: depends on {one.on}",
-                how="repeats on held-out flights",
+                how="repeats on flights left out",
                 sizes=(SizeRow("displacement in 1 s", size, ends),),
                 cost=centimetres(one.displacement),
                 remedy=f"More flights that vary {one.on} would show it.",

@@ -23,7 +23,7 @@ from inclined_landing.eval.gap.infer.fit import (
     leave_one_out_modes,
     vehicles_a_half_width_away,
 )
-from inclined_landing.eval.gap.infer.gaussian import ParameterEstimate, Spread
+from inclined_landing.eval.gap.infer.gaussian import ParameterErrors, Spread
 from inclined_landing.eval.gap.measured.usable import usable_flights
 from inclined_landing.eval.gap.measured.windows import _on_ground, measurement_noise, prepare, prepare_all
 from inclined_landing.eval.gap.model.columns import BASE, Candidates
@@ -183,7 +183,7 @@ def test_thrust_over_weight_is_that_of_all_names_together():
 
 def test_a_speed_of_wind_is_known_no_better_than_drag_at_other_speeds():
     """3 m/s, known to 0.1 by the flights, by a drag that is 30 % uncertain there, a mass without."""
-    known = ParameterEstimate(0.1, np.zeros(1), 0.0)
+    known = ParameterErrors(0.1, np.zeros(1), 0.0)
     values = {"wind": {"x": 3.0, "y": 0.0}, "mass": {"scale": 1.2}}
     keys = [("wind", "x"), ("wind", "y"), ("mass", "scale")]
     local = SimpleNamespace(estimates=lambda _: dict.fromkeys(keys, known))
@@ -297,7 +297,9 @@ def test_no_set_is_larger_than_the_largest(monkeypatch):
     monkeypatch.setattr(
         sets._Fits,
         "_far_starts",
-        lambda _, values: {n: sets._FarStart(far[n], 1.0) for n in library if n not in values},
+        lambda _, fit: {
+            n: sets._Prediction(fit.score + 1.0, fit, far[n]) for n in library if n not in fit.names
+        },
     )
     logs = flights({"thrust_scale": {"scale": 0.88}}, seed=1, count=2, seconds=4.0)
     problem = Problem.of([prepare(log, VEHICLE) for log in logs], VEHICLE, library)

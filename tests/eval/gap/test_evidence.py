@@ -84,12 +84,13 @@ def test_disturbance_is_recovered_from_what_it_moved():
     errors = [f.measured - [0.0, 0.0, 1.0, 0.0, 0.0, 0.0] for f in flights]
     for e in errors:
         e[:, 0] += stirred(rng, len(e), 0.4, 0.25)
-    found = estimate(flights, errors)
-    assert found.size_ci95[0, 0] <= 0.4 <= found.size_ci95[1, 0]
-    assert found.size[0] == pytest.approx(0.4, rel=0.15)
-    assert found.time_ci95[0, 0] <= 0.25 <= found.time_ci95[1, 0]
-    assert found.size[1] < 0.05 and found.size_ci95[0, 1] < 0.02
-    assert found.noise == pytest.approx(1.0, abs=0.3)
+    along_x, along_y, *angles = estimate(flights, errors)
+    assert along_x.size_ci95[0] <= 0.4 <= along_x.size_ci95[1]
+    assert along_x.size == pytest.approx(0.4, rel=0.15)
+    assert along_x.time_ci95[0] <= 0.25 <= along_x.time_ci95[1]
+    assert along_y.size < 0.05 and along_y.size_ci95[0] < 0.02
+    for one in (along_x, along_y, *angles):
+        assert one.noise_ratio == pytest.approx(1.0, abs=0.3)
 
 
 def test_errors_larger_than_the_noise_model_says_count_as_what_they_are():
@@ -107,7 +108,8 @@ def test_errors_larger_than_the_noise_model_says_count_as_what_they_are():
     assert judged(0.01).inflation == pytest.approx(judged(0.04).inflation)
 
 
-UNBOUNDED = Bounds(np.full(8, -np.inf), np.full(8, np.inf), np.zeros((0, 6)))
+NO_PAIRS = np.zeros(0, int), np.zeros((0, 2)), np.zeros((0, 2))
+UNBOUNDED = Bounds(np.full(8, -np.inf), np.full(8, np.inf), *NO_PAIRS)
 
 
 @pytest.fixture(scope="module")
@@ -200,7 +202,7 @@ def test_within_bounds_is_the_likeliest_possible_point(seed):
     root, at = rng.standard_normal((4, 4)), rng.standard_normal(4)
     covariance = root @ root.T + 0.1 * np.eye(4)
     high = np.array([at[0] - 0.5, np.inf, np.inf, np.inf])
-    bounds = Bounds(np.full(4, -np.inf), high, np.zeros((0, 6)))
+    bounds = Bounds(np.full(4, -np.inf), high, *NO_PAIRS)
     found, unlikely = truncated_mode(at, covariance, np.arange(4), bounds)
     inverse = np.linalg.inv(covariance)
 
@@ -214,7 +216,8 @@ def test_within_bounds_is_the_likeliest_possible_point(seed):
 
 def test_bounds_of_an_effect_about_a_reference():
     """Sizes about both sides, of opposite signs: the reference lies no further than is possible."""
-    bounds = Bounds(np.full(2, -np.inf), np.full(2, np.inf), np.array([[0, 1, -2.0, 2.0, -0.25, 1.25]]))
+    pair = np.array([1]), np.array([[-2.0, 2.0]]), np.array([[-0.25, 1.25]])
+    bounds = Bounds(np.full(2, -np.inf), np.full(2, np.inf), *pair)
     np.testing.assert_allclose(clipped(np.array([4.0, -3.0]), bounds), [1.25, -0.25])
     np.testing.assert_allclose(clipped(np.array([3.0, 3.0]), bounds), [1.0, 1.0])
     np.testing.assert_allclose(clipped(np.array([0.4, 0.6]), bounds), [0.4, 0.6])
