@@ -186,7 +186,7 @@ def test_a_speed_of_wind_is_known_no_better_than_drag_at_other_speeds():
     known = ParameterErrors(0.1, np.zeros(1), 0.0)
     values = {"wind": {"x": 3.0, "y": 0.0}, "mass": {"scale": 1.2}}
     keys = [("wind", "x"), ("wind", "y"), ("mass", "scale")]
-    local = SimpleNamespace(estimates=lambda _: dict.fromkeys(keys, known))
+    local = SimpleNamespace(parameter_errors=lambda _: dict.fromkeys(keys, known))
     local.for_sizes_of = lambda _: local
     found = SimpleNamespace(problem=SimpleNamespace(groups=8, library=LIBRARY, flights=[None]), local=local)
     sized = sizes.estimates(found, values)
