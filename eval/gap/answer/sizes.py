@@ -214,9 +214,8 @@ def thrust_of_names(found: SetPosterior, values: Values) -> Quantity | None:
     """Return `thrust_over_weight` with the identified vehicle's taken as known."""
     problem = found.problem
     names = [name for name, effect in problem.library.items() if effect.changes_hover and name in values]
-    if not names or (
-        len(names) == 1 and problem.library[names[0]].parameters[0].is_factor
-    ):  # itself the ratio
+    is_the_ratio = len(names) == 1 and problem.library[names[0]].parameters[0].is_factor
+    if not names or is_the_ratio:
         return None
     value, (low, high) = jointly(found, values, names, lambda at: _thrust_ratio(problem, at))
     # Var = Var within the named set + sum_s p_s (r_s - r)^2 over the sets s

@@ -69,23 +69,23 @@ class Spread:
     # Between-flight standard deviation; effective number of columns collinear with it, and of flights that
     # excite it, both at least 1. Of a pair of columns, which has one key, these are the second's.
     between: Mapping[Key, float] = dataclasses.field(default_factory=dict)
-    confounded: Mapping[Key, float] = dataclasses.field(default_factory=dict)
+    collinear: Mapping[Key, float] = dataclasses.field(default_factory=dict)
     excitation: Mapping[Key, float] = dataclasses.field(default_factory=dict)
 
     @staticmethod
     def of(problem: Problem, linear: Linearisation) -> Spread:
         """Return the spread that the flights show, linearised at a joint fit of all effects."""
-        confounded = confounding(linear)
-        between = _between_by_em(problem, linear, _negligible_sizes(problem, linear.columns, confounded))
+        collinear = collinearity(linear)
+        between = _between_by_em(problem, linear, _negligible_sizes(problem, linear.columns, collinear))
         # A flight g counts as min(1, a_gkk between^2): as 1 where it resolves the differences.
-        sd = Spread(between, confounded).between_deviations(problem, linear.columns)
+        sd = Spread(between, collinear).between_deviations(problem, linear.columns)
         share = np.minimum(1.0, np.einsum("gkk->gk", linear.a) * sd**2).sum(axis=0)
-        return Spread(between, confounded, {c.key: max(1.0, float(x)) for c, x in zip(linear.columns, share)})
+        return Spread(between, collinear, {c.key: max(1.0, float(x)) for c, x in zip(linear.columns, share)})
 
     def between_deviations(self, problem: Problem, columns: Sequence[Column]) -> np.ndarray:
         """Return the between-flight standard deviations (P,)."""
         estimated = [self.between.get(c.key, 0.0) for c in columns]
-        return np.maximum(BETWEEN * _negligible_sizes(problem, columns, self.confounded), estimated)
+        return np.maximum(BETWEEN * _negligible_sizes(problem, columns, self.collinear), estimated)
 
     def spike_deviations(self, problem: Problem, columns: Sequence[Column]) -> np.ndarray:
         """Return the spikes' standard deviations (P,)."""
@@ -99,13 +99,13 @@ class Spread:
         placement_squared = np.square(placement) / np.where(pair, 2.0, 1.0)
         of_one_flight = self.between_deviations(problem, columns) ** 2 - placement_squared
         of_mean = np.maximum(of_one_flight, 0.0) / count
-        negligible = _negligible_sizes(problem, columns, self.confounded)
+        negligible = _negligible_sizes(problem, columns, self.collinear)
         spike = np.sqrt((SPIKE * negligible) ** 2 + placement_squared + of_mean)
         most = np.where(pair, MOST_SPIKE_ABOUT, MOST_SPIKE)
         return np.minimum(spike, most * slab_deviations(problem, columns))
 
 
-def confounding(linear: Linearisation) -> dict[Key, float]:
+def collinearity(linear: Linearisation) -> dict[Key, float]:
     """Return the effective number of columns collinear with each (>= 1), by its key."""
     # n_j = sum_k cos^2(J_j, J_k),  cos = a_jk / sqrt(a_jj a_kk)
     a = linear.a.sum(axis=0)
@@ -116,14 +116,14 @@ def confounding(linear: Linearisation) -> dict[Key, float]:
 
 
 def _negligible_sizes(
-    candidates: Candidates, columns: Sequence[Column], confounded: Mapping[Key, float]
+    candidates: Candidates, columns: Sequence[Column], collinear: Mapping[Key, float]
 ) -> np.ndarray:
-    """Return the negligible sizes (P,), each divided by the root of the number of confounded columns.
+    """Return the negligible sizes (P,), each divided by the root of the number of collinear columns.
 
-    The two columns of an effect about a reference count as confounded.
+    The two columns of an effect about a reference count as collinear.
     """
-    collinear = [confounded.get(c.key, 1.0) * (2.0 if at_an_end(c) else 1.0) for c in columns]
-    return np.array([candidates.parameter(c).negligible for c in columns]) / np.sqrt(collinear)
+    count = [collinear.get(c.key, 1.0) * (2.0 if at_an_end(c) else 1.0) for c in columns]
+    return np.array([candidates.parameter(c).negligible for c in columns]) / np.sqrt(count)
 
 
 def _between_by_em(problem: Problem, linear: Linearisation, unit: np.ndarray) -> dict[Key, float]:

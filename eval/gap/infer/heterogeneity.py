@@ -18,7 +18,7 @@ import numpy as np
 from scipy.special import fdtrc, stdtrit
 
 from inclined_landing.eval.gap import thresholds
-from inclined_landing.eval.gap.infer.gaussian import BETWEEN, confounding
+from inclined_landing.eval.gap.infer.gaussian import BETWEEN, collinearity
 from inclined_landing.eval.gap.model.columns import ParameterColumn, Values, slab_deviations
 from inclined_landing.eval.gap.model.problem import Linearisation, Problem
 from inclined_landing.eval.gap.result import Difference, InconsistentFlights
@@ -67,8 +67,8 @@ class _FlightInformation:
         a, b = a * np.outer(unit, unit), b * unit
         # Random effects u ~ N(0, S) of every flight, S diagonal: BETWEEN^2 shared by collinear columns, and
         # the model error of the loops (`manoeuvre`).  Marginal:  a -> (1 + a S)^-1 a,  b -> (1 + a S)^-1 b
-        confounded = confounding(linear)
-        small = BETWEEN**2 / np.array([confounded[c.key] for c in columns])
+        collinear = collinearity(linear)
+        small = BETWEEN**2 / np.array([collinear[c.key] for c in columns])
         small += (np.array([problem.variation(c).manoeuvre for c in columns]) / unit) ** 2
         inner = np.linalg.inv(np.eye(len(unit)) + a * small)
         own: dict[str, list[int]] = {}

@@ -407,13 +407,13 @@ def gain_matrix(a: np.ndarray, b: np.ndarray, fold_of: np.ndarray, ridge: float)
     """
     # Fits of fold g from the blocks outside it:  F_g = (sum_(h != g) a_h + ridge)^-1 b_i  (0 inside), and
     #   Q = sum_g [2 b_g F_g' - F_g a_g F_g']
-    total, form = a.sum(axis=0), np.zeros((len(b), len(b)))
+    total, q = a.sum(axis=0), np.zeros((len(b), len(b)))
     for g in range(len(a)):
         own = fold_of == g
         fits = np.where(own[:, None], 0.0, np.linalg.solve(total - a[g] + ridge * np.eye(a.shape[1]), b.T).T)
-        form[own] += 2.0 * b[own] @ fits.T
-        form -= fits @ a[g] @ fits.T
-    return form
+        q[own] += 2.0 * b[own] @ fits.T
+        q -= fits @ a[g] @ fits.T
+    return q
 
 
 def _blocks(problem: Problem) -> np.ndarray:

@@ -48,7 +48,7 @@ REDUNDANT = (  # of these one is a combination of the others
     *(frozenset((f"weak_rotor_{k}", "yaw_imbalance")) for k in range(1, 5)),
 )
 LEFT_OUT = 30.0  # nat, for each of a redundant set: odds of 1e-13
-SWING_START = 2.0  # nat, as of four numbers that are known to 0.6 of their prior deviations: 4 log 1/0.6
+SWING_START = 2.0  # nat, by hand, as of four numbers known to 0.6 of their prior deviations: 4 log 1/0.6
 MOST_EFFECTS = 16  # of a set
 EXCHANGES = 2  # fits with another effect in the place of each one of the best set
 MOST_FITS = 12  # sets fitted through the simulator

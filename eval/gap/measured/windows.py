@@ -189,7 +189,7 @@ class RotorAttitude(NamedTuple):
     """The attitude that drives a flight's translation."""
 
     rotation: np.ndarray  # (m - 1, 3, 3) body to world, in the middle of every step
-    rates_about_x: np.ndarray  # (m - 1, 3) see `rates_about_x`, in the middle of every step
+    rates_about_x: np.ndarray  # (m - 1, 3) Euler rates of a body rate of 1 rad/s about x, there too
     first: np.ndarray  # (3,) rad, roll, pitch, yaw of the first row
 
 
@@ -355,7 +355,7 @@ def _resampled(log: FlightLog) -> FlightLog:
 def prepare_all(
     logs: Sequence[FlightLog], vehicle: Vehicle, platform: bool
 ) -> tuple[list[MeasuredFlight], tuple[str, ...]]:
-    """Return `logs` cut into windows, and notes: those of the logs, and why some were left out.
+    """Return `logs` cut into windows, and notes: those of the logs, and why some are not used.
 
     Raises UserError when none can be used.
     """
@@ -377,7 +377,7 @@ def prepare_all(
     if len({f.requests is None for f in flights}) > 1:  # all flights of a regression have the same channels
         silent = [dataclasses.replace(log, requests=None) for log in logs]
         return prepare_all(silent, vehicle, platform)
-    return flights, (*notes, *(f"left out: {reason}" for reason in refused))
+    return flights, (*notes, *(f"not used: {reason}" for reason in refused))
 
 
 def measurement_noise(values: np.ndarray) -> np.ndarray:

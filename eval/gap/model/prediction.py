@@ -18,7 +18,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from inclined_landing.eval.gap.measured.windows import REQUEST_SIGNS
+from inclined_landing.eval.gap.measured.windows import REQUEST_SIGNS, RotorAttitude
 from inclined_landing.eval.gap.model.swing import Starts, pulled
 from inclined_landing.models import plugins
 from inclined_landing.models.attitude import PWM, ROLL_COMMAND, YAW_RATE_COMMAND, entries, tilted
@@ -219,9 +219,7 @@ class _Measured(NamedTuple):
     position: np.ndarray  # (m, 3) m
     middle_position: np.ndarray  # (m - 1, 3) m
     velocity: np.ndarray  # (m - 1, 3) m/s
-    rotation: np.ndarray  # (m - 1, 3, 3), body to world
-    turning: np.ndarray  # (m - 1, 3) Euler rates of a body rate of 1 rad/s about x
-    first_attitude: np.ndarray  # (3,) in the first row
+    attitude: RotorAttitude
     ambient: np.ndarray  # (m - 1, AMBIENT_SIZE)
     starts: np.ndarray  # (w,) first row of every window
     rows: int  # of a window
@@ -230,15 +228,12 @@ class _Measured(NamedTuple):
     @staticmethod
     def of(flight, vehicle: Vehicle) -> _Measured:
         """Return a flight as the kernels take it, with the attitude of the rotors of `vehicle`."""
-        attitude = flight.attitude_of(vehicle)
         return _Measured(
             command=flight.command,
             position=flight.position,
             middle_position=flight.middle_position,
             velocity=flight.middle_velocity,
-            rotation=attitude.rotation,
-            turning=attitude.rates_about_x,
-            first_attitude=attitude.first,
+            attitude=flight.attitude_of(vehicle),
             ambient=flight.ambient,
             starts=flight.starts,
             rows=flight.rows,
@@ -286,7 +281,7 @@ def _predict(measured, vehicles, own, same, begun, out):
             commands, yaw = first_commands, first_yaw
         angles = np.empty((len(yaw), 3))
         for axis in range(2):
-            turned, start = twist[:, axis], measured.first_attitude[axis]
+            turned, start = twist[:, axis], measured.attitude.first[axis]
             angles[:, axis] = angle_steps(axis, commands[axis], turned, start, dt, vehicle)
         angles[:, 2] = yaw
         if k == 0:
@@ -338,7 +333,7 @@ def _ground(measured, v, near):
     for k in range(len(near)):
         inclination, present, azimuth = ambient[k, INCLINATION], ambient[k, PRESENT], ambient[k, AZIMUTH]
         near[k, 0], near[k, 1], near[k, 2] = ground_effect(
-            position[k], entries(measured.rotation[k]), 1.0, inclination, present, azimuth, v
+            position[k], entries(measured.attitude.rotation[k]), 1.0, inclination, present, azimuth, v
         )
 
 
@@ -350,7 +345,7 @@ def _accelerations(measured, v, near, pwm, lag, twist):
     """
     out, velocity, ambient = np.empty_like(measured.velocity), measured.velocity, measured.ambient
     for k in range(len(pwm)):
-        r = entries(measured.rotation[k])
+        r = entries(measured.attitude.rotation[k])
         fx, fy, fz, tx, ty = wrench_near(
             near[k], velocity[k], r, lag[k], pwm[k], ambient[k], v, _NO_PERTURBATION
         )
@@ -358,9 +353,9 @@ def _accelerations(measured, v, near, pwm, lag, twist):
         out[k, 1] = (r[3] * fx + r[4] * fy + r[5] * fz) / v.body.mass
         out[k, 2] = (r[6] * fx + r[7] * fy + r[8] * fz) / v.body.mass
         about_x, about_y = tx / v.body.inertia[0], ty / v.body.inertia[1]
-        twist[k, 0] = measured.turning[k, 0] * about_x
-        twist[k, 1] = measured.turning[k, 1] * about_x + about_y
-        twist[k, 2] = measured.turning[k, 2] * about_x
+        twist[k, 0] = measured.attitude.rates_about_x[k, 0] * about_x
+        twist[k, 1] = measured.attitude.rates_about_x[k, 1] * about_x + about_y
+        twist[k, 2] = measured.attitude.rates_about_x[k, 2] * about_x
     return out
 
 
@@ -387,7 +382,7 @@ def _integrals(measured, vehicle):
     pwm, lag = _thrust_commands(measured, vehicle)
     _accelerations(measured, v, near, pwm, lag, twist)
     for axis in range(2):
-        start, turned = measured.first_attitude[axis], twist[:, axis]
+        start, turned = measured.attitude.first[axis], twist[:, axis]
         out[:, axis] = integrated_steps(axis, commands[axis], turned, start, measured.dt, vehicle)[:, 1]
     return out
 
@@ -413,7 +408,7 @@ def _loop_commands(measured, v):
         # The angle at which the loops come to rest moves with the speed: as by a command.
         aside, share = 1 - axis, (2 * axis - 1) * lean / v.attitude.gain
         for k in range(out.shape[1]):
-            r, velocity = measured.rotation[k], measured.velocity[k]
+            r, velocity = measured.attitude.rotation[k], measured.velocity[k]
             speed = r[0, aside] * velocity[0] + r[1, aside] * velocity[1] + r[2, aside] * velocity[2]
             out[axis, k] += share * speed
     return out

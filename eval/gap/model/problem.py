@@ -399,9 +399,8 @@ def identifiable_effects(
             continue
         if not effect.identified and not shows_in_requests:  # flights show it as lags and gains of the loops
             continue
-        if (
-            shows_in_requests and effect.requires and not requested
-        ):  # as in most logs: one note for all, below
+        # As in most logs: one note for all, below
+        if shows_in_requests and effect.requires and not requested:
             continue
         reasons = [_why_unidentifiable(channel, least, flights) for channel, least in effect.requires.items()]
         if any(reasons):
