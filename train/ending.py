@@ -56,7 +56,7 @@ class Ending:
         if self.config.success is None or self.evaluations[-1]["score"] >= self.config.success - CLOSE:
             return False
         since = self.curriculum.explored_at
-        return _rises_no_more([e["score"] for e in self.evaluations if e["steps"] > since])
+        return _have_stopped_rising([e["score"] for e in self.evaluations if e["steps"] > since])
 
     def words(self, steps: int, last: str) -> str:
         """Return a sentence on how the run ended after these steps; last: its last evaluation in words."""
@@ -89,12 +89,11 @@ class Ending:
 
     def _rises_no_more(self) -> bool:
         """Return whether the last evaluations at the lowest learning rate have stopped rising."""
-        return _rises_no_more(
-            [e["score"] for e in self.evaluations if self.curriculum.may_plateau(e["steps"])]
-        )
+        settled = [e for e in self.evaluations if self.curriculum.may_plateau(e["steps"])]
+        return _have_stopped_rising([e["score"] for e in settled])
 
 
-def _rises_no_more(scores: list[float]) -> bool:
+def _have_stopped_rising(scores: list[float]) -> bool:
     """Return whether the last PATIENCE scores, if there are so many, have stopped rising."""
     last, half = scores[-PATIENCE:], PATIENCE // 2
     return len(last) == PATIENCE and sum(last[half:]) <= sum(last[:half]) + half * RISING
