@@ -315,7 +315,7 @@ class BalancedCurriculum(AdaptiveCurriculum):
     the adaptive curriculum, after one with less than half of it. In a run that ends by success it does not
     fall otherwise: policies that do not land all vehicles yet need it to learn the remaining ones. The noise
     does not fall below LEAST_NOISE, as otherwise such small updates change little. If success stops rising
-    short of the end, the noise is raised to BOLD once, and may fall again over FADING steps: a policy that
+    short of the end, the noise is raised to BOLD, and may fall again over FADING steps: a policy that
     swings around the goal of some vehicles, which with noise reaches it by chance, has to find another way.
     The policy that is evaluated and saved has averaged weights, which fluctuate less.
 
