@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import contextlib
+import functools
 import logging
 import multiprocessing
 import os
@@ -79,12 +80,19 @@ def in_fork(function: Callable[..., Item], *arguments: Any, ticks: bool = False)
     fork = multiprocessing.get_context("fork")
     here, there = fork.Pipe(duplex=False)
 
+    def send(kind: str, value: Any) -> None:
+        with contextlib.suppress(BrokenPipeError):  # of a process that has ended, and waits no more
+            there.send((kind, value))
+
     def answer() -> None:
-        options = {"tick": lambda words: there.send(("tick", words))} if ticks else {}
+        here.close()  # otherwise no pipe would break
+        signal.signal(signal.SIGTERM, signal.SIG_DFL)  # by which a process at its end ends this one
+        signal.signal(signal.SIGINT, signal.SIG_IGN)
+        options = {"tick": functools.partial(send, "tick")} if ticks else {}
         try:
-            there.send(("result", function(*arguments, **options)))
+            send("result", function(*arguments, **options))
         except BaseException as error:
-            there.send(("error", error))
+            send("error", error)
 
     process = fork.Process(target=answer, daemon=True)
     process.start()

@@ -4,6 +4,8 @@ import errno
 import json
 import os
 import pathlib
+import subprocess
+import sys
 
 import numpy as np
 import pytest
@@ -153,3 +155,19 @@ def test_a_call_in_a_fork_returns_raises_or_is_missed():
 
     said: list[str] = []
     assert in_fork(counted, 3, ticks=True)(said.append) == 3 and said == ["0", "1", "2"]
+
+
+def test_a_call_in_a_fork_ends_with_a_command_that_does_not_wait_for_it():
+    """Also if it has more to say than a pipe holds, and the command has handlers of signals."""
+    program = (
+        "import sys\n"
+        "from inclined_landing.envs.shared.command_line import exit_code\n"
+        "from inclined_landing.envs.shared.pool import in_fork\n"
+        "from inclined_landing.models.base.errors import UserError\n"
+        "def work():\n"
+        "    result = in_fork(bytes, 10**7)\n"
+        "    raise UserError('something else failed')\n"
+        "sys.exit(exit_code('test', work))\n"
+    )
+    ended = subprocess.run([sys.executable, "-c", program], capture_output=True, text=True, timeout=60)
+    assert (ended.returncode, ended.stdout, ended.stderr) == (2, "", "test: something else failed\n")
