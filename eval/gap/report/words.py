@@ -258,7 +258,8 @@ def how_much(d: Diagnosis) -> str:
         like = "noise and air disturbances" if not d.exceeds_reference else "gusts and other disturbances"
         lines.append(f"The remaining error does not depend on any logged signal, just like {like}.")
     if d.disturbed:
-        times = listed([f"{ratio:.1f} in {channel}" for channel, ratio in d.disturbed.items()])
+        factors = {k: f"{x:.1f}" if x < 100.0 else "over 100" for k, x in d.disturbed.items()}  # of almost 0
+        times = listed([f"{factor} in {channel}" for channel, factor in factors.items()])
         lines.append(f"Disturbances are larger than in the reference flights, by a factor of {times}.")
     if d.verdict == "undecided":
         lines.append("To refit all constants without naming one, run landing-eval identify on these flights.")

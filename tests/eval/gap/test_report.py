@@ -176,6 +176,10 @@ def test_nothing_is_said_where_the_errors_are_those_of_the_reference():
     said = words.how_much(dataclasses.replace(d, disturbance=rough))
     assert "(reference flights: 35 cm, noise alone: 1.0 cm). The remaining error does not depend" in said
     assert said.endswith("Disturbances are larger than in the reference flights, by a factor of 2.0 in z.")
+    calm = {axis: dataclasses.replace(x, size=1e-12) for axis, x in d.reference.disturbance.items()}
+    calmer = dataclasses.replace(d.reference, disturbance=calm)
+    said = words.how_much(dataclasses.replace(d, disturbance=rough, reference=calmer))
+    assert "over 100 in z" in said
 
 
 def test_unknown_stands_beside_names_where_much_repeats():
