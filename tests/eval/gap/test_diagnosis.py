@@ -355,7 +355,7 @@ def test_short_and_incomplete_logs_are_refused(matched):
         quick([])
     prepared, notes = prepare_all([matched[1], log.rows(slice(0, 50))], VEHICLE, False)
     assert len(prepared) == 1
-    assert any("left out" in note for note in notes)
+    assert any("not used" in note for note in notes)
 
 
 def test_identification_recovers_the_attitude_loop():
