@@ -88,6 +88,7 @@ def in_fork(function: Callable[..., Item], *arguments: Any, ticks: bool = False)
         here.close()  # otherwise no pipe would break
         signal.signal(signal.SIGTERM, signal.SIG_DFL)  # by which a process at its end ends this one
         signal.signal(signal.SIGINT, signal.SIG_IGN)
+        signal.pthread_sigmask(signal.SIG_SETMASK, before)
         options = {"tick": functools.partial(send, "tick")} if ticks else {}
         try:
             send("result", function(*arguments, **options))
@@ -95,7 +96,12 @@ def in_fork(function: Callable[..., Item], *arguments: Any, ticks: bool = False)
             send("error", error)
 
     process = fork.Process(target=answer, daemon=True)
-    process.start()
+    # Until the new process has its own handlers, signals to it wait.
+    before = signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGTERM, signal.SIGINT})
+    try:
+        process.start()
+    finally:
+        signal.pthread_sigmask(signal.SIG_SETMASK, before)
     there.close()
 
     def result(tick: Callable[[str], None] = lambda words: None) -> Item:
