@@ -283,7 +283,7 @@ class BatchEnv:
 
     def _count_failures(self, ended: np.ndarray, success: np.ndarray) -> None:
         """Update the share of failures of the pool's vehicles whose episodes have ended; masks (n,)."""
-        # With e of a vehicle's episodes ended at once, a share q of them without success:
+        # If e of a vehicle's episodes end at once, and the share q of them fails:
         #   f <- f + (1 - (1 - LATEST)^e) (q - f)
         vehicle, length = self.plant.choice, 1 + len(self.plant.pool)
         count = np.bincount(vehicle[ended], minlength=length)[1:]

@@ -375,7 +375,7 @@ class BalancedCurriculum(AdaptiveCurriculum):
         return 1.0 if total is None else super().learning_rate_share(steps, total)
 
     def use(self, rules: Rules) -> None:
-        pass  # it has the gate and floor of drawn vehicles, and READY and PATIENT instead of restarts
+        """Keep its own rules: gate and floor of DRAWN, and READY and PATIENT instead of restarts."""
 
     def may_plateau(self, steps: int) -> bool:
         return self.full_at is not None and steps >= self.full_at + PATIENT

@@ -52,7 +52,7 @@ def introduce(out: Path) -> None:
     command = f"landing-eval gap {out}/fit/*.csv --heldout {out}/heldout/*.csv --out {out}/report"
     print(f"To name the effects that the model lacks: {command}")
     say(
-        f"{out} contains twenty flights with hidden effects; those in its folder heldout are not to fit. "
+        f"{out} contains twenty flights with hidden effects; those in its folder heldout are to be held out. "
         f"{out / 'hidden.toml'} lists the hidden effects; read it afterwards. "
         f"{out / 'truth.toml'} is the true vehicle, to test policies on."
     )

@@ -181,7 +181,7 @@ def propagated(
 
 def product(found: SetPosterior, values: Values, name: str) -> Quantity:
     """Return the acceleration [m/s2] that an effect makes in hover."""
-    # With the vehicle and all other effects as they are, information a and slab V:  C = (a + V^-1)^-1
+    # The vehicle and all other effects are fixed; a is the information, V the slab:  C = (a + V^-1)^-1
     local = found.local.for_sizes_of(frozenset(values))
     own = size_columns(found.problem, local, [name])
     information = local.a.sum(axis=0)[np.ix_(own, own)] + np.linalg.inv(local.slab[np.ix_(own, own)])

@@ -27,7 +27,7 @@ MODEL_ERRORS = np.array([0.0, *np.geomspace(0.002, 0.5, 30)])  # f, multiplicati
 ALTERNATIONS = 4  # rounds, at most, of fitting effects and noise model in turn
 SETTLED, SMALL_SIZE = 0.15, 1e-3  # relative and absolute change of the disturbance's size that ends these
 ROUGH_ITERATIONS, ROUGH_TOLERANCE = 3, 5.0  # of a round's fit: the next one begins where it ends
-# As by Marquardt; beyond the most, no step helps.
+# Marquardt's damping: where the largest is exceeded, no step decreases the error.
 FIRST_DAMPING, MOST_DAMPING, LEAST_DAMPING = 1e-3, 1e4, 1e-9
 LAGS = 4  # windows over which autocorrelations are summed
 ROUNDS = 8  # of Newton's method
@@ -127,7 +127,7 @@ def active_set_step(
     """
     free, step = np.ones(len(at), bool), np.zeros(len(at))
     for _ in range(len(at) + 1):
-        # Of the free columns F, the fixed ones X at their steps:
+        # The free columns F move, the fixed ones X have their steps:
         #   (a + lambda diag a)_FF d_F = b_F - a_FX d_X
         k = np.flatnonzero(free)
         step[k] = solve(damped[np.ix_(k, k)], b[k] - a[np.ix_(k, ~free)] @ step[~free])

@@ -40,14 +40,14 @@ BETWEEN = 0.35  # least between-flight standard deviation, in negligible sizes: 
 LARGE = 4.0  # slab widths of the second, wider component of the slab: sizes have heavy tails
 LARGE_ODDS = 0.25  # of that component to the first: weights 1/5 and 4/5
 LARGE_BEYOND = 2.0  # slab widths: a size below is never more probable by the wider component
-# Of the flights, always the same. A sample lacks what only few flights show: 11 % have neither of the two in
-# ten that are near the ground in the bundled example. The ground effect's probability is 0.91 by 400 samples
-# there, and by 24 has a standard deviation of 0.08 between draws.
+# Flights are sampled with the same seed every time. A sample may lack what only few flights show: in the
+# bundled example 11 % have neither of the two flights of ten that are near the ground. The ground effect's
+# probability there is 0.91 by 400 samples; by 24 it has a standard deviation of 0.08 between seeds.
 BOOTSTRAP_SAMPLES = 24
 ACTIVE_SET_ROUNDS = 4  # of the mode of a truncated normal distribution
 # Largest standard deviation of the spike, in those of the slab: the slab less the spike must be a covariance.
-# That of the two columns of an effect about a reference has the eigenvalues 0.5 and 0.125 of the slab's
-# variance (SHAPE_COVARIANCE), and sqrt(0.125) = 0.35.
+# For the two columns of an effect about a reference that covariance has the eigenvalues 0.5 and 0.125 of the
+# slab's variance (SHAPE_COVARIANCE), and sqrt(0.125) = 0.35.
 MOST_SPIKE = 0.5
 MOST_SPIKE_ABOUT = 0.3
 MOST_BETWEEN_LOOPS = (

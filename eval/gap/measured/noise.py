@@ -25,7 +25,7 @@ from inclined_landing.models.threads import two_at_a_time
 from inclined_landing.models.vehicle import Vehicle
 
 # The likelihood is evaluated on a grid. Correlation times [s] reach from a few rows, where a disturbance is
-# hardly told from noise, to a few windows of 0.6 s, where it is hardly told from a constant.
+# hardly distinguished from noise, to a few windows of 0.6 s, where it resembles a constant.
 TIMES = np.geomspace(0.05, 1.6, 6)
 MEDIUM_TIME = 0.3  # s, in the middle of these (in logarithms): where there is nothing to estimate it from
 # Sizes, as shares of the size at which the disturbance alone would explain the errors; the least is none.
