@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from inclined_landing.envs.shared import statistics
+from inclined_landing.envs.shared.statistics import mean, median, proportion
 
 if TYPE_CHECKING:
     import pandas as pd
@@ -22,23 +22,7 @@ SIZES = ("value", "low", "high", "min", "max", "count", "flights")
 
 def share(values: np.ndarray) -> dict[str, Any]:
     """Return the share of true values with its Wilson 95 % interval; `count` are true."""
-    found = statistics.proportion(int(values.sum()), len(values))
-    low, high = found["interval"] or (None, None)
-    return {"value": found["share"], "low": low, "high": high, "count": found["count"]}
-
-
-def median(values: np.ndarray) -> dict[str, Any]:
-    """Return the median with 5 % and 95 % quantiles and the range, of `count` values that are not NaN."""
-    found = statistics.spread(values)
-    of = {"value": "median", "low": "p5", "high": "p95", "min": "min", "max": "max"}
-    return {name: found[key] for name, key in of.items()} | {"count": int(np.isfinite(values).sum())}
-
-
-def mean(values: np.ndarray) -> dict[str, Any]:
-    """Return the mean with the 95 % interval of Student's t."""
-    found = statistics.mean(values)
-    low, high = found["interval"] or (None, None)
-    return {"value": found["mean"], "low": low, "high": high, "count": len(values)}
+    return proportion(int(values.sum()), len(values))
 
 
 def with_ends(row: Row, factor: float, digits: int) -> str:
@@ -87,7 +71,7 @@ class Measure:
         among = flights[flights[self.among].astype(bool)] if self.among else flights
         found = self.statistic(among[self.column or self.name].to_numpy())
         about = {"measure": self.name, "unit": self.unit, "statistic": self.statistic.__name__}
-        return about | dict.fromkeys(SIZES) | found | {"flights": len(among)}
+        return about | {size: found.get(size) for size in SIZES} | {"flights": len(among)}
 
     def text(self, row: Row | None) -> str:
         """Return a row of this measure as the cell of a table."""

@@ -1,4 +1,4 @@
-"""Estimates with their uncertainties."""
+"""Estimates with their uncertainties, all in one form: `value`, `low` and `high` of an interval, `count`."""
 
 from __future__ import annotations
 
@@ -13,8 +13,8 @@ _Z = NormalDist().inv_cdf(0.975)
 
 
 def proportion(successes: int, trials: int) -> dict[str, Any]:
-    """Return the share of successes with its Wilson 95 % interval (null without trials)."""
-    result: dict[str, Any] = {"count": int(successes), "of": int(trials), "share": None, "interval": None}
+    """Return the share of successes with its Wilson 95 % interval, None without trials; `count` of `of`."""
+    found: dict[str, Any] = {"value": None, "low": None, "high": None, "count": int(successes), "of": trials}
     if trials:
         # (p + z^2/2n +- z sqrt(p(1 - p)/n + z^2/4n^2))/(1 + z^2/n), z the 97.5 % quantile of the normal
         # distribution; exact where the end is 0 or 1
@@ -22,30 +22,29 @@ def proportion(successes: int, trials: int) -> dict[str, Any]:
         middle, half = share + z2 / 2, math.sqrt(z2 * (share * (1 - share) + z2 / 4))
         low = 0.0 if successes == 0 else (middle - half) / (1 + z2)
         high = 1.0 if successes == trials else (middle + half) / (1 + z2)
-        result |= {"share": share, "interval": [low, high]}
-    return result
+        found |= {"value": share, "low": low, "high": high}
+    return found
 
 
-def spread(values: npt.ArrayLike) -> dict[str, Any]:
-    """Return median, 5 % and 95 % quantiles, smallest and largest of the values that are not NaN."""
+def median(values: npt.ArrayLike) -> dict[str, Any]:
+    """Return the median with 5 % and 95 % quantiles and the range, of `count` values that are not NaN."""
     values = np.asarray(values, float)
-    values = values[~np.isnan(values)]
-    names = ("min", "p5", "median", "p95", "max")
-    if not len(values):
-        return dict.fromkeys(names)
-    return dict(zip(names, map(float, np.quantile(values, [0, 0.05, 0.5, 0.95, 1]))))
+    there = values[~np.isnan(values)]
+    names = ("min", "low", "value", "high", "max")
+    sizes = map(float, np.quantile(there, [0, 0.05, 0.5, 0.95, 1])) if len(there) else [None] * len(names)
+    return dict(zip(names, sizes)) | {"count": int(np.isfinite(values).sum())}
 
 
 def mean(values: npt.ArrayLike) -> dict[str, Any]:
     """Return the mean with the 95 % interval of Student's t, for more than one value."""
     values = np.asarray(values, float)
-    result: dict[str, Any] = {"mean": float(values.mean()), "interval": None}
+    value, low, high = float(values.mean()), None, None
     if len(values) > 1:
         from scipy.special import stdtrit  # quantiles of Student's t
 
-        half = stdtrit(len(values) - 1, 0.975) * values.std(ddof=1) / np.sqrt(len(values))
-        result["interval"] = [result["mean"] - float(half), result["mean"] + float(half)]
-    return result
+        half = float(stdtrit(len(values) - 1, 0.975) * values.std(ddof=1) / np.sqrt(len(values)))
+        low, high = value - half, value + half
+    return {"value": value, "low": low, "high": high, "count": len(values)}
 
 
 def bootstrap(values: npt.ArrayLike) -> dict[str, Any]:
@@ -54,11 +53,11 @@ def bootstrap(values: npt.ArrayLike) -> dict[str, Any]:
     The interval never exceeds the range of the values; for three or four values it is too narrow.
     """
     values = np.asarray(values, float)
-    result: dict[str, Any] = {"mean": float(values.mean()), "interval": None}
+    low = high = None
     if len(values) > 1:
         drawn = np.random.default_rng(0).choice(values, (10_000, len(values))).mean(axis=1)
-        result["interval"] = [float(end) for end in np.quantile(drawn, [0.025, 0.975])]
-    return result
+        low, high = map(float, np.quantile(drawn, [0.025, 0.975]))
+    return {"value": float(values.mean()), "low": low, "high": high, "count": len(values)}
 
 
 def number(value: float | None) -> str:

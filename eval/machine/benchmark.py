@@ -16,7 +16,8 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from inclined_landing.envs.shared import runs
-from inclined_landing.envs.shared.measures import Measure, median
+from inclined_landing.envs.shared.measures import Measure
+from inclined_landing.envs.shared.statistics import median
 from inclined_landing.eval.base.options import Flag, NewFolder, Seed
 from inclined_landing.models.base.errors import UserError
 

@@ -22,7 +22,7 @@ from msgspec import Meta
 from inclined_landing.envs.policy import Policy
 from inclined_landing.envs.shared import runs
 from inclined_landing.envs.shared.progress import stages
-from inclined_landing.envs.shared.statistics import proportion, spread
+from inclined_landing.envs.shared.statistics import median, proportion
 from inclined_landing.envs.tasks.landing import PAPER_RESULTS
 from inclined_landing.eval.base.options import Flag, NewFolder, Seed
 from inclined_landing.eval.flying import safety
@@ -158,8 +158,8 @@ def start_row(policy: str, vehicle: str, flown: Sequence[Flown]) -> dict:
         "truly, before a touch": proportion(sum(t.strict for t in truths), len(flown)),
         "at rest on its feet": proportion(sum(t.landed for t in truths), len(flown)),
         "down, never outside": proportion(sum(bool(t.rests) and not t.outside for t in truths), len(flown)),
-        "landing [s]": spread(times),
-        "speed in the box [m/s]": spread([math.hypot(*t.speed) for t in truths if t.speed is not None]),
+        "landing [s]": median(times),
+        "speed in the box [m/s]": median([math.hypot(*t.speed) for t in truths if t.speed is not None]),
     }
 
 

@@ -41,16 +41,16 @@ def table_of(rows: Sequence[Mapping[str, Any]]) -> str:
 
 
 def cell(value: Any) -> str:
-    """Return a number with four digits, a proportion with its interval, a spread with its quantiles."""
-    if isinstance(value, dict) and "share" in value:
-        if value["share"] is None:
+    """Return a number with four digits, a proportion with its interval, a median with its quantiles."""
+    if isinstance(value, dict) and "of" in value:
+        if value["value"] is None:
             return ""
-        low, high = (100 * end for end in value["interval"])
+        low, high = 100 * value["low"], 100 * value["high"]
         return f"{value['count']} of {value['of']} [{low:.0f}, {high:.0f} %]"
-    if isinstance(value, dict) and value["median"] is None:
+    if isinstance(value, dict) and value["value"] is None:
         return "-"
     if isinstance(value, dict):
-        return "{median:z,.2f} ({p5:z,.2f} to {p95:z,.2f})".format(**value)
+        return "{value:z,.2f} ({low:z,.2f} to {high:z,.2f})".format(**value)
     if isinstance(value, float):
         return f"{value:.4g}"
     return "" if value is None else str(value)

@@ -140,9 +140,8 @@ def sum_up(variant: str, name: str, number: Number, values: list) -> Measured:
         found = proportion(sum(there), len(there))
     else:
         found = bootstrap(there) if there else {}
-    mean, interval = found.get("mean", found.get("share")), found.get("interval")
-    if len(there) < len(values):
-        mean = interval = None
+    whole = len(there) == len(values)
+    ends = whole and found["low"] is not None
     median = float(np.median([math.inf if value is None else value for value in values]))
     factor = number.factor
     return Measured(
@@ -151,6 +150,6 @@ def sum_up(variant: str, name: str, number: Number, values: list) -> Measured:
         kind=kind,
         values=tuple(None if value is None else factor * value for value in values),
         median=factor * median if math.isfinite(median) else None,
-        mean=None if mean is None else factor * mean,
-        interval=None if interval is None else (factor * interval[0], factor * interval[1]),
+        mean=factor * found["value"] if whole else None,
+        interval=(factor * found["low"], factor * found["high"]) if ends else None,
     )

@@ -62,13 +62,15 @@ def test_intervals_by_hand():
     # p = 28/30, z = 1.959964: centre (p + z^2/60)/(1 + z^2/30) = 0.884144,
     # half width z/(1 + z^2/30) sqrt(p (1 - p)/30 + z^2/3600) = 0.097379
     result = statistics.proportion(28, 30)
-    assert result["share"] == 28 / 30
-    assert result["interval"] == pytest.approx([0.786765, 0.981523], abs=1e-6)
-    assert statistics.proportion(0, 0) == {"count": 0, "of": 0, "share": None, "interval": None}
+    assert (result["value"], result["count"], result["of"]) == (28 / 30, 28, 30)
+    assert (result["low"], result["high"]) == pytest.approx((0.786765, 0.981523), abs=1e-6)
+    assert statistics.proportion(0, 0) == {"value": None, "low": None, "high": None, "count": 0, "of": 0}
     # mean 2, standard deviation 1, n = 3: 4.302653/sqrt(3) = 2.484138
     result = statistics.mean([1.0, 2.0, 3.0])
-    assert result["mean"] == 2.0 and set(statistics.spread([np.nan]).values()) == {None}
-    assert result["interval"] == pytest.approx([2 - 2.484138, 2 + 2.484138], abs=1e-6)
+    assert result["value"] == 2.0
+    assert (result["low"], result["high"]) == pytest.approx((2 - 2.484138, 2 + 2.484138), abs=1e-6)
+    nothing = {"value": None, "low": None, "high": None, "min": None, "max": None, "count": 0}
+    assert statistics.median([np.nan]) == nothing
 
 
 # ---- starts
