@@ -1,5 +1,6 @@
 """R = Rz(yaw) Rx(roll) Ry(pitch): its three forms agree, with MuJoCo and with the vehicle's signs."""
 
+import dataclasses
 import math
 
 import mujoco
@@ -7,11 +8,13 @@ import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
+from scipy.spatial.transform import Rotation
 
 from inclined_landing.models import attitude
 from inclined_landing.models.attitude import PITCH, ROLL, STATE_SIZE
 from inclined_landing.models.equations import derivative
 from inclined_landing.models.parameters import load_vehicle
+from inclined_landing.models.plants import MujocoPlant
 
 ROUNDING = 1e-14  # a dozen operations on numbers of size 1, each 1.1e-16
 angle = st.floats(-math.pi, math.pi)
@@ -89,6 +92,24 @@ def test_positive_pitch_accelerates_forward_and_positive_roll_to_the_right(colum
     found = derivative(state, [v.hover_pwm, 0, 0, 0], v)["acceleration"][:2]
     wanted = v.environment_gravity * math.sin(0.2) * np.array(along)
     np.testing.assert_allclose(found, wanted, rtol=1e-12, atol=0.0)
+
+
+def test_the_engine_turns_the_thrust_by_yaw_then_roll_then_pitch():
+    """In MuJoCo and in SciPy, whose intrinsic order is ZXY; every other order is 5 deg or more away."""
+    v, angles = dataclasses.replace(load_vehicle(), drag_coefficients=(0.0, 0.0, 0.0)), (0.5, -0.6, 2.0)
+    plant = MujocoPlant(1, v, attitude="kinematic", contacts=False)
+    data = mujoco.MjData(plant.model)
+    data.mocap_pos[:, 2] = -100.0  # the platform, out of the way
+    data.qpos[:] = [0, 0, 50, *attitude.quaternion(*angles)]
+    data.act[0], data.ctrl[0] = v.hover_lag, v.hover_pwm
+    mujoco.mj_forward(plant.model, data)
+    up = (data.qacc[:3] + [0, 0, v.environment_gravity]) / v.environment_gravity
+    named, apart = dict(zip("XYZ", angles)), {}
+    for order in ("ZXY", "ZYX", "XYZ", "XZY", "YXZ", "YZX"):
+        turned = Rotation.from_euler(order, [named[axis] for axis in order]).apply([0.0, 0.0, 1.0])
+        apart[order] = np.linalg.norm(up - turned)
+    assert apart.pop("ZXY") < 10 * ROUNDING
+    assert min(apart.values()) > math.radians(5.0)
 
 
 @pytest.mark.parametrize("largest", [math.pi / 4, 4.0, 1e5])

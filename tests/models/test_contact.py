@@ -10,6 +10,7 @@ from inclined_landing.eval.truth.contact.drops import drop
 from inclined_landing.models import contact
 from inclined_landing.models.attitude import LAG, PITCH, STATE_SIZE, VX, VZ, WX, WZ, X, Z
 from inclined_landing.models.base.errors import UserError
+from inclined_landing.models.geometry import PARTS, SURFACES, reach_below
 from inclined_landing.models.parameters import load_vehicle
 from inclined_landing.models.plants import MujocoPlant
 
@@ -30,6 +31,30 @@ def test_a_slower_drop_rebounds_less_and_none_where_none_is_set():
     slow, middle, fast = (drop(V, speed, solrefs).restitution.mean(axis=1) for speed in (0.5, 1.0, 2.0))
     assert abs(middle[0]) < 0.01
     assert (slow < middle)[1:].all() and (middle < fast)[1:].all() and (fast - slow)[1:].max() < 0.1
+
+
+@pytest.mark.parametrize("pitch, part", [(0.0, "feet"), (0.5, "rotors"), (1.0, "body")])
+@pytest.mark.parametrize("surface", ["slab", "floor"])
+def test_touch_and_force_name_the_part_and_the_surface(surface, pitch, part):
+    """Let go 2 mm above the slab or the floor upright, nose down or upside down, on body and rotor discs.
+
+    At rest the surface carries the weight, within 1 % of what still moves; nose down the vehicle falls over.
+    """
+    plant, pitch, k = unpowered(1), math.pi * pitch, SURFACES.index(surface)
+    plant.set_platform([0], 0.0)
+    state = np.zeros((1, STATE_SIZE))
+    state[0, PITCH], state[0, X] = pitch, 0.0 if surface == "slab" else 1.5
+    state[0, Z] = V.platform_surface_height if surface == "slab" else 0.0
+    state[0, Z] += reach_below(plant.shapes, (-math.sin(pitch), 0.0, math.cos(pitch))) + 0.002
+    plant.reset([0], state)
+    first = None
+    for _ in range(400):
+        plant.step(np.zeros((1, 4)))
+        if first is None and plant.contacts.touch.any():
+            first = plant.contacts.touch[0].copy()
+    assert first[k, PARTS.index(part)] and np.flatnonzero(first.any(axis=1)).tolist() == [k]
+    if part != "rotors":
+        assert plant.contacts.force[0, k].sum() == pytest.approx(V.weight, rel=0.01)
 
 
 def test_the_setting_is_monotone():

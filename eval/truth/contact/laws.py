@@ -17,8 +17,7 @@ from inclined_landing.eval.truth.contact.drops import PHASES, advance, drop, ene
 from inclined_landing.eval.truth.contact.figures import DRAW
 from inclined_landing.eval.truth.report import Words
 from inclined_landing.models import contact
-from inclined_landing.models.attitude import PITCH, ROLL, STATE_SIZE, VX, VZ, WX, WZ, YAW, X, Z
-from inclined_landing.models.geometry import PARTS, SURFACES, reach_below
+from inclined_landing.models.attitude import ROLL, STATE_SIZE, VX, VZ, WX, WZ, YAW
 from inclined_landing.models.motion import Motion
 from inclined_landing.models.plants import MujocoPlant
 from inclined_landing.models.plants.recorder import STEP, present_forces
@@ -37,8 +36,7 @@ STEPS = (0.004, 0.002, 0.001, 0.0005)
 
 
 def _section(key: str, measured: dict[str, float], filling: dict | None = None, *, data: dict) -> Section:
-    draw = partial(DRAW[key], data) if key in DRAW else None
-    return WORDS.section(key, measured, filling, data=data, draw=draw)
+    return WORDS.section(key, measured, filling, data=data, draw=partial(DRAW[key], data))
 
 
 def rest(vehicle: Vehicle) -> Section:
@@ -337,36 +335,4 @@ def follow(falling: Falling) -> tuple[np.ndarray, np.ndarray]:
     return gain, passed
 
 
-def parts(vehicle: Vehicle) -> Section:
-    """Measure the contact part and force of a vehicle upright, nose down and upside down."""
-    weight = vehicle.body_mass * vehicle.environment_gravity
-    rows, right, loads = [], 0, []
-    for name in ("slab", "floor"):
-        surface = SURFACES.index(name)
-        for pitch, part in ((0.0, "feet"), (np.pi / 2, "rotors"), (np.pi, "body")):
-            plant = unpowered(vehicle, 1)
-            plant.set_platform([0], 0.0)
-            height = vehicle.platform_surface_height if name == "slab" else 0.0
-            state = np.zeros((1, STATE_SIZE))
-            state[0, X], state[0, PITCH] = (0.0 if name == "slab" else 1.5), pitch
-            state[0, Z] = height + reach_below(plant.shapes, (-np.sin(pitch), 0.0, np.cos(pitch))) + 0.002
-            plant.reset([0], state)
-            first = None
-            for _ in range(400):
-                plant.step(np.zeros((1, 4)))
-                touch = plant.contacts.touch[0]
-                if first is None and touch.any():
-                    first = sorted(PARTS[k] for k in np.flatnonzero(touch.any(axis=0)))
-                    surfaces = touch.any(axis=1)
-            force = plant.contacts.force[0]
-            ok = first is not None and part in first and surfaces[surface] and surfaces.sum() == 1
-            right += ok
-            if pitch != np.pi / 2:  # nose down it falls over
-                loads.append(abs(force[surface].sum() / weight - 1))
-            rows.append(
-                {"surface": name, "pitch": float(np.degrees(pitch)), "first": first, "right": bool(ok)}
-            )
-    return _section("parts", {"named": right, "weight": 100 * float(max(loads))}, data={"rows": rows})
-
-
-LAWS = {f.__name__: f for f in (rest, slip, restitution, impulse, penetration, convergence, tumbling, parts)}
+LAWS = {f.__name__: f for f in (rest, slip, restitution, impulse, penetration, convergence, tumbling)}

@@ -14,7 +14,6 @@ from inclined_landing.eval.truth.report import Words
 from inclined_landing.models.attitude import (
     LAG,
     PITCH_COMMAND,
-    PWM,
     ROLL,
     ROLL_COMMAND,
     YAW,
@@ -27,7 +26,7 @@ from inclined_landing.models.vehicle import Vehicle
 
 WORDS = Words(__package__)  # of the page, with the tolerances
 STEPS = 300  # control steps of 0.02 s
-FAMILIES = ("full steps", "smooth", "landing-like", "recorded")
+FAMILIES = ("full steps", "smooth", "recorded")
 HEIGHT = 500.0  # m; full thrust up or none at all moves 6 s x up to 60 m/s
 FINE = 20  # RK4 steps in a control period, 1 ms each: the equations solved to 1e-8 m
 MODES: dict[Attitude, str] = {"kinematic": "kinematic", "rate_loop": "rate loop"}  # of attitude, in words
@@ -103,19 +102,16 @@ class Sequences:
         return f"{self.family}, {'2-D' if self.planar else '3-D'}"
 
 
-def all_sequences(vehicle: Vehicle, n: int, seed: int, policy: Policy | None = None) -> list[Sequences]:
-    """Return n sequences of every family in both dimensions; `recorded` only with a landing policy."""
+def all_sequences(vehicle: Vehicle, n: int, seed: int, policy: Policy) -> list[Sequences]:
+    """Return n sequences of every family in both dimensions; `recorded` are those of the landing policy."""
     result = []
     for k, family in enumerate(FAMILIES):
         for planar in (True, False):
             rng = np.random.default_rng([seed, k, planar])
             if family == "recorded":
-                if policy is None:
-                    continue
                 commands = _recorded(vehicle, n, rng, policy, planar)
             else:
-                make = {"full steps": full_steps, "smooth": smooth, "landing-like": landing_like}[family]
-                commands = make(vehicle, n, rng)
+                commands = {"full steps": full_steps, "smooth": smooth}[family](vehicle, n, rng)
             yaw = rng.uniform(-np.pi, np.pi, n)
             if planar:
                 commands[..., [ROLL_COMMAND, YAW_RATE_COMMAND]] = 0.0
@@ -143,32 +139,6 @@ def smooth(v: Vehicle, n: int, rng: np.random.Generator) -> np.ndarray:
     turns = rng.uniform(0.1, 1.5, (n, 4, 3)) * t + rng.uniform(0, 1, (n, 4, 3))
     wave = np.sin(2 * np.pi * turns).mean(axis=-1)
     return 0.5 * (low + high) + 0.5 * (high - low) * wave
-
-
-def landing_like(v: Vehicle, n: int, rng: np.random.Generator) -> np.ndarray:
-    """Return (STEPS, n, 4): speed up, brake, flare to the slope, sink, idle; twice, turning slowly."""
-    low, high = bounds(v)
-    commands = np.zeros((STEPS, n, 4))
-    commands[..., PWM] = v.hover_pwm
-    flare = v.platform_inclination / v.attitude_gain
-    for i in range(n):
-        begin = 0
-        while begin < STEPS:
-            lengths = rng.integers([20, 20, 8, 10, 10], [50, 50, 16, 25, 20])
-            run, brake, turn, sink, idle = begin + np.cumsum(lengths)
-            angle, heading = rng.uniform(0.5, 1.0) * v.command_angle_limit, rng.uniform(-np.pi, np.pi)
-            both = np.array([-np.sin(heading), np.cos(heading)])  # share of roll and of pitch
-            axes = [ROLL_COMMAND, PITCH_COMMAND]
-            lift = rng.uniform(1.0, 1.25)
-            commands[begin:run, i, axes] = angle * both
-            commands[run:brake, i, axes] = -angle * both
-            commands[begin:brake, i, PWM] *= lift
-            commands[brake:idle, i, axes] = flare * both
-            commands[turn:sink, i, PWM] *= rng.uniform(0.7, 0.95)
-            commands[sink:idle, i, PWM] = low[PWM]
-            commands[begin:idle, i, YAW_RATE_COMMAND] = rng.uniform(-0.5, 0.5) * high[3]
-            begin = idle
-    return np.clip(commands, low, high)
 
 
 def _recorded(v: Vehicle, n: int, rng, policy: Policy, planar: bool) -> np.ndarray:

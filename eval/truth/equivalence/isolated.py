@@ -1,4 +1,4 @@
-"""Comparison of single terms with closed solutions: drag, lag, the Euler axes, their order.
+"""Comparison of single terms with closed solutions: drag, lag, the Euler axes.
 
 The closed solutions are derived here from the paper's formulas without `equations.py`, so that an error
 common to both plants would be detected.
@@ -10,10 +10,9 @@ import dataclasses
 import math
 from typing import Any
 
-import mujoco
 import numpy as np
 
-from inclined_landing.eval.base.claims import Section, Table, number
+from inclined_landing.eval.base.claims import Section, Table
 from inclined_landing.eval.truth.equivalence import flying
 from inclined_landing.eval.truth.equivalence.flying import WORDS, engine
 from inclined_landing.models.attitude import (
@@ -28,7 +27,6 @@ from inclined_landing.models.attitude import (
     YAW,
     YAW_RATE_COMMAND,
     Z,
-    quaternion,
 )
 from inclined_landing.models.plants import Attitude
 from inclined_landing.models.vehicle import Vehicle
@@ -36,7 +34,6 @@ from inclined_landing.models.vehicle import Vehicle
 STEPS = 100  # control steps, 2 s
 SPEED = 3.0  # m/s at the start of the drag tests
 NO_DRAG = (0.0, 0.0, 0.0)
-ORDERS = ("ZXY", "ZYX", "XYZ", "XZY", "YXZ", "YZX")
 _COLUMNS = {"roll": ROLL, "pitch": PITCH, "yaw": YAW}
 
 
@@ -121,36 +118,7 @@ def angle_errors(v: Vehicle, attitude: Attitude, commanded: tuple[str, ...]) -> 
     return {name: float(np.degrees(np.abs(turn).max())) for name, turn in turns.items()}
 
 
-def order_errors(v: Vehicle, count: int, seed: int) -> dict[str, float]:
-    """Return the largest angle [deg] between the engine's thrust direction and that of each order of
-    rotations.
-
-    `count` random attitudes put into the engine as (roll, pitch, yaw); the direction is that of its
-    acceleration without drag.
-    """
-    from scipy.spatial.transform import Rotation
-
-    model = engine(1, "kinematic", dataclasses.replace(v, drag_coefficients=NO_DRAG)).model
-    data = mujoco.MjData(model)
-    data.mocap_pos[:, 2] = -100.0
-    angles = np.random.default_rng([seed, 20]).uniform([-0.9, -0.9, -3], [0.9, 0.9, 3], (count, 3))
-    up = np.empty((count, 3))
-    for row, (roll, pitch, yaw) in zip(up, angles):
-        data.qpos[:] = [0, 0, 50, *quaternion(roll, pitch, yaw)]
-        data.qvel[:], data.act[0], data.ctrl[:] = 0, v.hover_lag, [v.hover_pwm, 0, 0, 0]
-        mujoco.mj_forward(model, data)
-        row[:] = data.qacc[:3] + [0, 0, v.environment_gravity]
-    up /= np.linalg.norm(up, axis=1, keepdims=True)
-    column = {"X": 0, "Y": 1, "Z": 2}
-    errors = {}
-    for order in ORDERS:
-        turned = Rotation.from_euler(order, angles[:, [column[c] for c in order]]).apply([0.0, 0.0, 1.0])
-        distance = np.linalg.norm(up - turned, axis=1).max()
-        errors[order] = float(np.degrees(2 * math.asin(min(1.0, distance / 2))))
-    return errors
-
-
-def section(v: Vehicle, count: int, seed: int) -> Section:
+def section(v: Vehicle) -> Section:
     """Return the section of the report."""
 
     def claim(key, measured, **filling):
@@ -173,17 +141,6 @@ def section(v: Vehicle, count: int, seed: int) -> Section:
         claims.append(claim("others", others, mode=mode))
         claims.append(claim(f"together_{attitude}", max(together.values()), mode=mode))
         rows += [(mode, name, alone[name][name], together[name]) for name in alone]
-    orders = order_errors(v, count, seed)
-    claims.append(claim("order", orders["ZXY"]))
-    missed, order = min((error, order) for order, error in orders.items() if order != "ZXY")
-    claims.append(claim("nearest", missed, order=order))
     heads = ("mode", "angle", "alone", "all three at once")
-    tables = [
-        Table("Attitude steps: largest error [deg]", heads, rows),
-        Table(
-            "Thrust direction against each order of rotations",
-            ("order", "largest angle between [deg]"),
-            list(orders.items()),
-        ),
-    ]
-    return WORDS.section("isolated", claims, {"missed": number(missed)}, tables=tables)
+    tables = [Table("Attitude steps: largest error [deg]", heads, rows)]
+    return WORDS.section("isolated", claims, tables=tables)

@@ -8,10 +8,8 @@ from inclined_landing.envs.policy import Policy
 from inclined_landing.envs.tasks import frozen as landing_starts
 from inclined_landing.eval.base.claims import Section
 from inclined_landing.eval.truth.equivalence import (
-    bandwidth,
     check_cases,
     closed_loop,
-    convergence,
     flying,
     inconsistencies,
     isolated,
@@ -33,14 +31,11 @@ def measure(policy: Policy, seed: int, quick: bool) -> tuple[list[Section], dict
     starts = landing_starts.clear(policy.task, landing_starts.grid())[:: QUICK_STARTS if quick else 1]
     flights = flying.all_sequences(v, n, seed, policy)
     by_label = {s.label: s for s in flights}
-    full = by_label["full steps, 3-D"]
     work: dict[str, Callable[[], Section]] = {
         "three levels": lambda: levels.section(v, flights, states, seed),
-        "single terms": lambda: isolated.section(v, states // 2, seed),
+        "single terms": lambda: isolated.section(v),
         "native twin": lambda: twin.section(v, by_label["full steps, 2-D"].commands),
         "motor function": lambda: motor.section(v, seed),
-        "convergence": lambda: convergence.section(v, full.commands),
-        "bandwidth": lambda: bandwidth.section(v, full),
         "closed loop": lambda: closed_loop.section(policy, starts),
         "check cases": lambda: check_cases.section(v),
         "inconsistencies": lambda: inconsistencies.section(v, by_label["recorded, 2-D"]),

@@ -55,12 +55,12 @@ def test_a_drop_that_is_no_longer_followed_gains_no_energy(monkeypatch):
 
 
 def test_the_page_is_written(tmp_path, monkeypatch, capsys):
-    monkeypatch.setattr(laws, "LAWS", {k: laws.LAWS[k] for k in ("slip", "parts")})
+    monkeypatch.setattr(laws, "LAWS", {k: laws.LAWS[k] for k in ("slip", "rest")})
     out = tmp_path / "page"
     assert main(["contact", "--out", str(out)]) == 0
-    assert sorted(p.name for p in out.iterdir()) == ["contact.html", "contact.json", "slip.png"]
+    assert sorted(p.name for p in out.iterdir()) == ["contact.html", "contact.json", "rest.png", "slip.png"]
     saved = json.loads((out / "contact.json").read_text())
-    assert list(saved["sections"]) == ["slip", "parts"]  # in the page's order
+    assert list(saved["sections"]) == ["slip", "rest"]  # in the page's order
     assert saved["sections"]["slip"]["claims"][0]["passed"] is True
     page = (out / "contact.html").read_text()
     assert "Where sliding starts" in page and 'src="data:image/png' in page

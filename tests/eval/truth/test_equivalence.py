@@ -19,10 +19,8 @@ from inclined_landing.envs.tasks import frozen as landing_starts
 from inclined_landing.eval import cli
 from inclined_landing.eval.base.claims import Claim, Section, number
 from inclined_landing.eval.truth.equivalence import (
-    bandwidth,
     check_cases,
     closed_loop,
-    convergence,
     flying,
     inconsistencies,
     isolated,
@@ -81,7 +79,7 @@ def test_a_slightly_wrong_engine_is_noticed(attitude, change, steps):
 
 
 def test_every_term_by_itself():
-    check(isolated.section(V, 50, 0).claims)
+    check(isolated.section(V).claims)
 
 
 def test_plugin_free_twin(flights):
@@ -101,17 +99,6 @@ def test_a_rigid_body_tumbles_as_euler_says(integrator, brick, monkeypatch):
 def test_discrete_motor_function():
     check(motor.section(V, 0).claims)
     assert np.ptp(motor.discrete(V, motor.commands(V, 0))) > 0.2  # N: the commands do something
-
-
-def test_order_of_every_integrator(steps):
-    from inclined_landing.models.scene import INTEGRATORS
-
-    assert set(convergence.ORDERS) - {"equations, RK4"} == set(INTEGRATORS)
-    check(convergence.claims(convergence.measure(V, steps.commands)))
-
-
-def test_the_gap_to_the_paper_halves_when_the_bandwidth_doubles(steps):
-    check(bandwidth.claims(V, bandwidth.measure(V, steps, (50.0, 100.0, 200.0))))
 
 
 def test_the_torque_limit_leaves_one_axis_alone(flights):
@@ -177,11 +164,11 @@ def test_command_writes_page_json_and_figures(tmp_path):
     assert cli.main(["equivalence", "--out", str(out), "--quick", "--seed", "5"]) == 0
     record = json.loads((out / "report.json").read_text())
     assert record["passed"] and not record["failed"], record["failed"]
-    assert record["claims"] == sum(len(s["claims"]) for s in record["sections"].values()) > 90
+    assert record["claims"] == sum(len(s["claims"]) for s in record["sections"].values()) > 65
     page = (out / "report.html").read_text()
     images = re.findall(r'src="data:image/png;base64,([^"]+)"', page)
     files = sorted(path.name for path in out.glob("*.png"))
-    assert len(images) == len(files) == 3
+    assert len(images) == len(files) == 1
     assert {base64.b64decode(image) for image in images} == {(out / name).read_bytes() for name in files}
     assert not re.search(r'(src|href)="(?!data:|#)', page)  # self-contained
     for section in record["sections"].values():
