@@ -18,14 +18,12 @@ from inclined_landing.eval.logs.units import COMMANDED_QUATERNION, QUATERNION, R
 from inclined_landing.models.base.errors import UserError, shown
 
 _POSITION = ("x", "y", "z")
-_VELOCITY = ("vx", "vy", "vz")
 _EULER = ("roll", "pitch", "yaw")
 _COMMANDED_TILT = ("cmd_roll", "cmd_pitch")
 # What no flight exceeds, in SI units. A column beyond that throughout has another unit, which the checks say;
 # a few values that are beyond alone were not measured.
 _PLAUSIBLE = {
     **dict.fromkeys(_POSITION, (-200.0, 200.0)),
-    **dict.fromkeys(_VELOCITY, (-100.0, 100.0)),
     **dict.fromkeys(("roll", "pitch"), (-np.pi - 0.01, np.pi + 0.01)),
     **dict.fromkeys(("cmd_roll", "cmd_pitch"), (-np.pi / 2, np.pi / 2)),
     "yaw": (-100.0, 100.0),
@@ -94,7 +92,6 @@ def assemble(
         position=np.stack([pose[key][complete] for key in _POSITION], axis=1),
         attitude=attitude,
         command=command,
-        velocity=optional.get("velocity"),
         voltage=optional["battery voltage"][:, 0] if "battery voltage" in optional else None,
         contact=commands["contact"][complete] > 0.5 if "contact" in commands else None,
         requests=optional.get("requests"),
@@ -179,7 +176,6 @@ def _optional(t: np.ndarray, channels: Mapping[str, Channel], notes: list[str]) 
     """Return the optional columns by name, (m, k) at t, that are logged throughout; note the others."""
     found = {}
     for what, keys, method in (
-        ("velocity", _VELOCITY, _interpolate),
         ("battery voltage", ("vbat",), functools.partial(_interpolate, longest=VOLTAGE_BRIDGED)),
         ("requests", REQUESTS, _hold),
         ("rotor speed", ROTOR_SPEEDS, _interpolate),

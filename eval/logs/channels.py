@@ -22,7 +22,7 @@ MIXER_SIGNS = ((-0.5, 0.5, 1.0), (-0.5, -0.5, -1.0), (0.5, -0.5, 1.0), (0.5, 0.5
 # What a flight cannot be used without, and what is left out where it cannot be read.
 _NEEDED = ("t", "x", "y", "z", "cmd_thrust_pwm")
 _OPTIONAL = (
-    *("vx", "vy", "vz", "cmd_yaw", "cmd_yaw_rate", "vbat", "contact"),
+    *("cmd_yaw", "cmd_yaw_rate", "vbat", "contact"),
     *units.REQUESTS,
     *units.ROTOR_SPEEDS,
 )

@@ -47,8 +47,6 @@ def check_log(log: FlightLog) -> tuple[Finding, ...]:
 def _check_repeats(log: FlightLog) -> Iterator[Finding]:
     """Yield findings on rows with placeholders, and on poses that only repeat the previous row."""
     tables = {MEASURED: np.hstack([log.position, log.attitude]), COMMANDS: log.command}
-    if log.velocity is not None:
-        tables["vx", "vy", "vz"] = log.velocity
     if log.voltage is not None:
         tables["vbat",] = log.voltage[:, None]
     channels = {

@@ -95,7 +95,6 @@ def _flight_json(file: str, log: FlightLog | None, findings: Sequence[Finding]) 
     read = {}
     if log is not None:
         logged = [name for name in MEASURED + COMMANDS if name not in log.missing]
-        logged += [name for name in ("vx", "vy", "vz") if log.velocity is not None]
         logged += ["vbat"] if log.voltage is not None else []
         logged += ["contact"] if log.contact is not None else []
         read = {"rows": len(log), "seconds": log.duration, "rate": log.rate, "logged": logged}

@@ -22,7 +22,7 @@ from inclined_landing.models.base.errors import UserError, shown
 
 SAME = 0.9  # share of the changes after which two columns are equal
 FEWEST = 20  # changes, to tell
-_MEASURED = ("x", "y", "z", "vx", "vy", "vz", "roll", "pitch", "yaw", *QUATERNION)
+_MEASURED = ("x", "y", "z", "roll", "pitch", "yaw", *QUATERNION)
 _COMMANDED = ("cmd_roll", "cmd_pitch", "cmd_yaw", *COMMANDED_QUATERNION)
 _SET_POINT = re.compile(
     r"(?:^|[^a-z])(?:cmd|command(?:ed)?|set_?points?|sp|des(?:ired)?|ref(?:erence)?|(?:ctrl)?target|goal)(?:[^a-z]|$)"

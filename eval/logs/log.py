@@ -38,14 +38,14 @@ def runs(mask: np.ndarray) -> np.ndarray:
 
 
 # Columns of each array that has a value per row; None: it is one column, (m,).
-_WIDTHS = {"t": None, "position": 3, "attitude": 3, "command": 4, "velocity": 3, "voltage": None}
+_WIDTHS = {"t": None, "position": 3, "attitude": 3, "command": 4, "voltage": None}
 _WIDTHS |= {"contact": None, "requests": 4, "rotor_speed": 4}
 _HELD = ("command", "contact", "requests")
 
 
 @dataclasses.dataclass(frozen=True)
 class FlightLog:
-    """Pose, commands and, where logged, velocity, battery voltage and contact of one flight.
+    """Pose, commands and, where logged, battery voltage and contact of one flight.
 
     Attitude is roll, pitch, yaw of R = Rz(yaw) Rx(roll) Ry(pitch): positive pitch tilts the thrust
     towards +x, positive roll towards -y. Yaw is continuous (no jumps of 2 pi). A column that was not
@@ -60,7 +60,6 @@ class FlightLog:
     attitude: np.ndarray  # (m, 3) rad: roll, pitch, yaw
     # (m, 4): PWM, roll rad, pitch rad, yaw rate rad/s, as sent at t, held until the next row
     command: np.ndarray
-    velocity: np.ndarray | None = None  # (m, 3) m/s, world frame, only if logged
     voltage: np.ndarray | None = None  # (m,) V
     contact: np.ndarray | None = None  # (m,) bool
     # (m, 4) PWM that the controller asked of motors M1 to M4, before battery compensation

@@ -59,8 +59,6 @@ class LoggedMotion:
     height: list[np.ndarray]  # z (m)
     attitude: list[np.ndarray]  # (m, 3) roll, pitch, yaw
     acceleration: list[np.ndarray]  # (m, 3) m/s2
-    velocity: list[np.ndarray]  # (m, 3) m/s, derivative of position
-    logged_velocity: list[np.ndarray]  # the same as logged; no stretches if it is not
     lean: list[np.ndarray]  # where the thrust pointed, in the frame of the world
     thrust_tilt: list[np.ndarray]  # where the thrust pointed, in the frame of the heading
     tilt: list[np.ndarray]  # pitch - i roll, NaN where one is not logged
@@ -134,13 +132,11 @@ def _motion(log: FlightLog) -> dict[str, np.ndarray]:
     acceleration = smooth(log.position, 2)
     roll, pitch, yaw = (smooth(column) for column in log.attitude.T)
     upward = np.maximum(acceleration[:, 2] + GRAVITY, 2.0)
-    lean = _horizontal(acceleration) / upward
+    lean = (acceleration[:, 0] + 1j * acceleration[:, 1]) / upward
     return {
         "height": log.position[:, 2],
         "attitude": log.attitude,
         "acceleration": acceleration,
-        "velocity": smooth(log.position, 1),
-        **({} if log.velocity is None else {"logged_velocity": smooth(log.velocity)}),
         "lean": lean,
         "thrust_tilt": lean * np.exp(-1j * np.where(np.isnan(yaw), 0.0, yaw)),
         "tilt": pitch - 1j * roll,
@@ -148,11 +144,6 @@ def _motion(log: FlightLog) -> dict[str, np.ndarray]:
         "pwm": smooth(log.command[:, 0]),
         "force": np.linalg.norm(acceleration + [0.0, 0.0, GRAVITY], axis=1),
     }
-
-
-def _horizontal(vector: np.ndarray) -> np.ndarray:
-    """Return the horizontal part of vectors (m, 3) as complex numbers x + iy."""
-    return vector[:, 0] + 1j * vector[:, 1]
 
 
 def in_air(log: FlightLog, moves: LoggedMotion) -> np.ndarray:
@@ -193,7 +184,6 @@ def check(log: FlightLog, moves: LoggedMotion) -> Iterator[Finding]:
     yield from tilt
     if not any(finding.decision == "refuse" for finding in tilt):
         yield from _check_attitude_commands(moves)
-    yield from _check_velocity(moves)
 
 
 def _check_clock(log: FlightLog, moves: LoggedMotion) -> Iterator[Finding]:
@@ -342,32 +332,6 @@ def _check_attitude_commands(moves: LoggedMotion) -> Iterator[Finding]:
         yield from _check_delay("attitude", "cmd_roll, cmd_pitch", lag, pair.agreement)
 
 
-def _check_velocity(moves: LoggedMotion) -> Iterator[Finding]:
-    if not moves.logged_velocity:
-        return
-    pair = _compare_signals(
-        list(map(_horizontal, moves.logged_velocity)), list(map(_horizontal, moves.velocity)), excited=0.05
-    )
-    difference = np.concatenate(moves.logged_velocity) - np.concatenate(moves.velocity)
-    logged, derived = (np.concatenate(v)[:, 2] for v in (moves.logged_velocity, moves.velocity))
-    wrong = []
-    if pair is not None:
-        wrong = list(_check_convention(pair, "vx and vy", "the derivative of x and y"))
-    if derived.std() > 0.05:
-        vertical = _correlation(logged, derived)
-        scale = (logged @ derived) / max(logged @ logged, 1e-12)
-        if vertical < 0.5 or not 0.5 < scale < 2:
-            wrong.append(
-                limit("vz", f"vz is not the derivative of z (correlation {vertical:.2f}, ratio {scale:.3g})")
-            )
-    if wrong:
-        text = "; ".join(finding.text for finding in wrong)
-        yield limit("vx, vy, vz", f"{text}: velocity is left out", without="velocity")
-        return
-    total = np.sqrt(np.mean((difference**2).sum(axis=1)))
-    yield info("vx, vy, vz", f"velocity differs from the derivative of position by {total:.2g} m/s rms")
-
-
 @dataclasses.dataclass(frozen=True)
 class _Agreement:
     """Correlation of a complex signal with another and with its mirror image, and ratio of their sizes."""
@@ -426,9 +390,7 @@ def _check_convention(pair: _Agreement, what: str, against: str) -> Iterator[Fin
         )
     elif not 1 / MOST_RATIO < pair.ratio < MOST_RATIO:
         unit = "degrees" if pair.ratio < 1 else f"{against} in degrees"
-        yield refuse(
-            what, f"{ratio}: {unit} taken for radians?" if "roll" in what else f"{ratio}: wrong unit?"
-        )
+        yield refuse(what, f"{ratio}: {unit} taken for radians?")
     elif abs(turn) > SUSPICIOUS_TURN and pair.axis is None:
         yield limit(what, f"{what} are turned by {np.degrees(turn):.0f} deg about z against {against}")
     elif not 0.5 < pair.ratio < 2:
@@ -436,13 +398,12 @@ def _check_convention(pair: _Agreement, what: str, against: str) -> Iterator[Fin
 
 
 def _describe_mirror(what: str, turn: float) -> str:
-    x, y = ("vx", "vy") if what.startswith("v") else ("pitch", "roll")
     prefix = "cmd_" if what.startswith("cmd") else ""
     if abs(turn) < np.pi / 4:
-        return f"{prefix}{y} has the wrong sign"
+        return f"{prefix}roll has the wrong sign"
     if abs(turn) > 3 * np.pi / 4:
-        return f"{prefix}{x} has the wrong sign"
-    return f"{prefix}{x} and {prefix}{y} are swapped"
+        return f"{prefix}pitch has the wrong sign"
+    return f"{prefix}pitch and {prefix}roll are swapped"
 
 
 def _describe_turn(turn: float) -> str:

@@ -106,8 +106,6 @@ def log_table(log: FlightLog) -> pandas.DataFrame:
     table = {key: value for key, value in table.items() if not np.isnan(value).all()}
     if log.thrust_is_measured:
         table["measured_thrust_pwm"] = table.pop("cmd_thrust_pwm")
-    if log.velocity is not None:
-        table |= dict(zip(("vx", "vy", "vz"), log.velocity.T))
     if log.voltage is not None:
         table["vbat"] = log.voltage
     for columns, values in ((REQUESTS, log.requests), (ROTOR_SPEEDS, log.rotor_speed)):

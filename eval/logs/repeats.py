@@ -23,7 +23,7 @@ RESOLUTION = 0.01  # quantile of the changes of a quantity: one digit of it, if 
 ONE_DIGIT = 2.5  # resolutions by which a rounded value at rest changes at most
 BEFORE = 10  # changes before a value that stays to the end
 DEPARTS = 5  # changes after a value that stays: of noise, one way and ever larger in one case of 40 000
-_POSITION, _VELOCITY = ("x", "y", "z"), ("vx", "vy", "vz")
+_POSITION = ("x", "y", "z")
 
 
 def without_repeats(
@@ -35,7 +35,7 @@ def without_repeats(
     missing together. Columns and shares of the omitted values are noted.
     """
     thrust = channels["cmd_thrust_pwm"]
-    groups = [_POSITION, attitude, _VELOCITY, *((key,) for key in (*ROTOR_SPEEDS, "vbat"))]
+    groups = [_POSITION, attitude, *((key,) for key in (*ROTOR_SPEEDS, "vbat"))]
     groups += [("cmd_thrust_pwm",)] * thrust.measured
     result, columns = dict[str, Channel](), dict[str, list[str]]()
     for group in groups:

@@ -16,7 +16,6 @@ ROTOR_SPEEDS = ("m1_speed", "m2_speed", "m3_speed", "m4_speed")
 COLUMNS = {
     "t": "time",
     **dict.fromkeys(("x", "y", "z"), "length"),
-    **dict.fromkeys(("vx", "vy", "vz"), "speed"),
     **dict.fromkeys(("roll", "pitch", "yaw"), "angle"),
     **dict.fromkeys(QUATERNION, "number"),
     "cmd_thrust_pwm": "pwm",
@@ -33,7 +32,6 @@ _DEGREE = math.pi / 180
 UNITS = {
     "time": {"s": 1.0, "ms": 1e-3, "us": 1e-6, "ns": 1e-9},
     "length": {"m": 1.0, "cm": 1e-2, "mm": 1e-3, "ft": 0.3048, "in": 0.0254},
-    "speed": {"m/s": 1.0, "cm/s": 1e-2, "mm/s": 1e-3},
     "angle": {"rad": 1.0, "deg": _DEGREE},
     "angular rate": {"rad/s": 1.0, "deg/s": _DEGREE},
     "rotor speed": {"rad/s": 1.0, "rpm": math.pi / 30},

@@ -6,9 +6,10 @@ import dataclasses
 import math
 
 import numpy as np
+import scipy  # whose submodules are imported when they are used
 
 from inclined_landing.eval.gap.answer.rollout import RolloutWindows, simulate
-from inclined_landing.eval.gap.measured.windows import MeasuredFlight, prepare
+from inclined_landing.eval.gap.measured.windows import SMOOTHING, MeasuredFlight, prepare
 from inclined_landing.eval.logs import FlightLog
 from inclined_landing.eval.logs.log import runs
 from inclined_landing.eval.replay.recording import MEASURED, SIMULATED, Recording
@@ -29,7 +30,6 @@ def from_log(
     notes = [f"{log.name}: {note}" for note in log.notes]
     platform = platform or log.contact is not None
     touches = [] if log.contact is None else np.flatnonzero(np.diff(log.contact.astype(int)) == 1) + 1
-    velocity = log.velocity if log.velocity is not None else np.gradient(log.position, log.t, axis=0)
     measured = Recording(
         name=log.name,
         kind=MEASURED,
@@ -39,7 +39,7 @@ def from_log(
         t=log.t - log.t[0],
         position=log.position,
         attitude=log.attitude,
-        velocity=velocity,
+        velocity=_velocity(log),
         commands=log.command,
         events=[(float(log.t[row] - log.t[0]), "first touch") for row in touches[:1]],
     )
@@ -50,6 +50,14 @@ def from_log(
         reason = str(error).removeprefix(f"{log.name}: ")
         return [measured], [*notes, f"no simulation of {log.name}: {reason}"]
     return [measured, simulated], notes
+
+
+def _velocity(log: FlightLog) -> np.ndarray:
+    """Return the derivative of the position (m, 3) [m/s], smoothed over the rows within SMOOTHING."""
+    half = max(1, min(round(SMOOTHING * log.rate), (len(log) - 1) // 2))
+    # Rows k may be uneven in time: dx/dt = dx/dk / (dt/dk)
+    x, t = (scipy.signal.savgol_filter(a, 2 * half + 1, 2, 1, axis=0) for a in (log.position, log.t))
+    return x / t[:, None]
 
 
 def _simulated(

@@ -38,19 +38,18 @@ def flight(
         angle = rate * at[:, None, None] + phase
         return (
             (size * np.sin(angle)).sum(-1) + [0, 0, 1],
-            (size * rate * np.cos(angle)).sum(-1),
             -(size * rate**2 * np.sin(angle)).sum(-1),
         )
 
     def attitude(at):
         """Roll and pitch of Rz(heading) Rx(roll) Ry(pitch) whose z axis is along the specific force."""
-        force = motion(at)[2] + [0, 0, 9.81]
+        force = motion(at)[1] + [0, 0, 9.81]
         x = np.cos(heading) * force[:, 0] + np.sin(heading) * force[:, 1]
         y = -np.sin(heading) * force[:, 0] + np.cos(heading) * force[:, 1]
         roll = np.arctan2(-y, force[:, 2])
         return roll, np.arctan2(x, np.hypot(y, force[:, 2])), np.linalg.norm(force, axis=1)
 
-    position, velocity, _ = motion(t)
+    position, _ = motion(t)
     roll, pitch, _ = attitude(t)
     roll_sent, pitch_sent, _ = attitude(t + ATTITUDE_LAG)
     pwm = hover * (attitude(t + THRUST_LAG)[2] / 9.81) ** 0.8
@@ -61,7 +60,6 @@ def flight(
         attitude=np.stack([roll, pitch, np.full(len(t), heading)], axis=1)
         + random.normal(0, 0.005, (len(t), 3)),
         command=np.stack([pwm, roll_sent, pitch_sent, np.zeros(len(t))], axis=1),
-        velocity=velocity + random.normal(0, 0.01, velocity.shape),
         voltage=np.linspace(4.1, 3.7, len(t)),
     )
 
@@ -71,7 +69,6 @@ def change(log: FlightLog, **columns) -> FlightLog:
     fields = {
         "position": ["x", "y", "z"],
         "attitude": ["roll", "pitch", "yaw"],
-        "velocity": ["vx", "vy", "vz"],
         "command": ["cmd_thrust_pwm", "cmd_roll", "cmd_pitch", "cmd_yaw_rate"],
     }
     table = log_table(log).assign(**columns)
@@ -155,13 +152,10 @@ def test_mistakes_are_refused_in_words(mistake, tmp_path, capsys):
 
 def test_limits_are_noted_and_what_cannot_be_believed_is_left_out():
     log = flight()
-    roll_rate = np.gradient(log.position[:, 1], log.t)
     cases = {
         "vbat is always 3.8 V": dataclasses.replace(log, voltage=np.full(len(log), 3.8)),
         "not logged: cmd_yaw_rate": change(log, cmd_yaw_rate=np.nan),
         "1 gap in time, the longest of 0.52 s": log.rows(np.abs(log.t - 6) > 0.255),
-        "vx and vy mirror": change(log, vy=-log.velocity[:, 1]),
-        "vz is not the derivative": change(log, vz=-log.velocity[:, 2]),
         "column cmd_roll is always 0": change(log, cmd_roll=0),
         "hovers at 32 % of the full command": change(log, cmd_thrust_pwm=log.command[:, 0] / 2),
         "saturated": change(log, cmd_thrust_pwm=np.minimum(log.command[:, 0] * 1.5, 65535)),
@@ -169,16 +163,14 @@ def test_limits_are_noted_and_what_cannot_be_believed_is_left_out():
         "only 10 rows per second": log.rows(slice(None, None, 10)),
         "repeats its last value": dataclasses.replace(log, position=np.repeat(log.position[::2], 2, axis=0)),
     }
-    assert roll_rate.std() > 0  # the flight moves sideways, so that mirrored velocity is visible
     for words, changed in cases.items():
         used = enforce(changed)
         assert any(words in note for note in used.notes), (words, used.notes)
         assert (used.voltage is None) == words.startswith("vbat")
-        assert (used.velocity is None) == words.startswith("v") ^ words.startswith("vbat")
 
 
 IMPOSSIBLE = {"x": 500.0, "z": -1e5, "roll": 500.0, "yaw": 500.0, "cmd_roll": 3.0, "cmd_thrust_pwm": -1e5}
-IMPOSSIBLE |= {"vx": 500.0, "vbat": 500.0, "cmd_yaw_rate": 1e3}
+IMPOSSIBLE |= {"vbat": 500.0, "cmd_yaw_rate": 1e3}
 
 
 @pytest.mark.parametrize("column", IMPOSSIBLE)
@@ -197,7 +189,6 @@ def test_a_lone_impossible_value_is_named_and_left_out(column, tmp_path):
     near = np.isin(log.t, used.t)
     assert np.abs(used.position - log.position[near]).max() < 0.01
     assert np.abs(used.attitude - log.attitude[near]).max() < 0.05
-    assert np.abs(used.velocity - log.velocity[near]).max() < 0.1
     np.testing.assert_allclose(used.voltage, log.voltage[near], rtol=0, atol=1e-9)
 
 
@@ -290,7 +281,7 @@ def on_the_floor(log: FlightLog, rows: slice) -> FlightLog:
     position[rows] = np.random.default_rng(2).normal([0, 0, position[:, 2].min()], 1e-3, position[rows].shape)
     attitude[rows, :2] = np.random.default_rng(3).normal(0.02, 0.005, attitude[rows, :2].shape)
     command[rows] = [14_000.0, 0.0, 0.0, 0.0]
-    return dataclasses.replace(log, position=position, attitude=attitude, command=command, velocity=None)
+    return dataclasses.replace(log, position=position, attitude=attitude, command=command)
 
 
 @pytest.mark.parametrize("seed", range(5))
@@ -338,7 +329,7 @@ def test_a_hover_is_not_taken_for_standing(level):
 )
 @pytest.mark.parametrize("heading", [0.0, -0.2, 1.5])
 def test_a_quaternion_in_another_order_is_refused(named, order, heading, tmp_path):
-    log = dataclasses.replace(flight(heading=heading), velocity=None)
+    log = flight(heading=heading)
     w_first = Rotation.from_euler("ZXY", log.attitude[:, [2, 0, 1]]).as_quat(scalar_first=True)
     right, wrong = tmp_path / "right.csv", tmp_path / "wrong.csv"
     table = log_table(log).drop(columns=["roll", "pitch", "yaw", "cmd_roll", "cmd_pitch", "cmd_yaw_rate"])
@@ -364,7 +355,7 @@ def written(path, table: pandas.DataFrame) -> FlightLog:
 def test_a_value_that_stands_for_a_missing_measurement_is_read_as_an_empty_cell(
     tmp_path, columns, span, held
 ):
-    table = log_table(flight()).drop(columns=["vx", "vy", "vz", "vbat"])
+    table = log_table(flight()).drop(columns=["vbat"])
     hidden = table.t.between(*span)
     missing, last = table.copy(), np.flatnonzero(hidden)[0]
     missing.loc[hidden, columns] = np.nan
@@ -402,7 +393,7 @@ RESTS = {
 
 @pytest.mark.parametrize("kind", RESTS)
 def test_a_value_that_rests_is_a_measurement(tmp_path, kind):
-    plain = log_table(flight(noise=0.0, level=True)).drop(columns=["vx", "vy", "vz"])
+    plain = log_table(flight(noise=0.0, level=True))
     for k, name in enumerate(("roll", "pitch", "yaw")):
         plain[name] = 0.1 * np.sin(plain.t + k)
     table = RESTS[kind](plain)
@@ -423,7 +414,7 @@ def test_a_voltage_that_is_no_longer_measured_is_not_used(tmp_path, zero):
 
 @pytest.mark.parametrize("column", ["cmd_thrust_pwm", "cmd_roll"])
 def test_a_command_is_held_as_long_as_a_measurement_is_bridged(tmp_path, column):
-    table = log_table(flight()).drop(columns=["vx", "vy", "vz", "vbat"])
+    table = log_table(flight()).drop(columns=["vbat"])
     table.loc[600:800, column] = np.nan
     used = written(tmp_path / "a.csv", table)
     (gap,) = used.gap_starts
@@ -438,7 +429,7 @@ def test_a_quaternion_of_zeros_is_none_and_so_is_the_position_with_it(tmp_path, 
     log = flight()
     yaw, roll, pitch = (log.attitude[:, k] for k in (2, 0, 1))
     turned = Rotation.from_euler("ZXY", np.stack([yaw, roll, pitch], axis=1)).as_quat() * [[1], [-1]][0]
-    table = log_table(log).drop(columns=["vx", "vy", "vz", "vbat", "roll", "pitch", "yaw"])
+    table = log_table(log).drop(columns=["vbat", "roll", "pitch", "yaw"])
     table[["qx", "qy", "qz", "qw"]] = turned * np.where(np.arange(len(log)) % 7, 1.0, -1.0)[:, None]
     table.loc[list(rows), ["x", "y", "z", "qx", "qy", "qz", "qw"]] = 0.0
     used = written(tmp_path / "a.csv", table)
@@ -522,7 +513,6 @@ def test_one_axis_in_another_unit_is_refused(columns, words, heading):
     log = flight(heading=heading)
     table = log_table(log)
     changed = change(log, **{name: factor * table[name].to_numpy() for name, factor in columns.items()})
-    changed = dataclasses.replace(changed, velocity=None)
     assert any(f.decision == "refuse" and re.search(words, f.text) for f in check_log(changed))
 
 
@@ -539,7 +529,7 @@ def test_a_height_in_feet_is_said():
 @pytest.mark.parametrize("factor", [50.0, 20.0, 0.1])
 def test_a_clock_that_attitude_and_acceleration_contradict_is_refused(factor):
     """Rows that are 0.01 s apart, read in another unit; 5 % of the step for noise and smoothing."""
-    log = dataclasses.replace(flight(seconds=20.0), velocity=None)
+    log = flight(seconds=20.0)
     (finding,) = [f for f in check_log(dataclasses.replace(log, t=factor * log.t)) if f.decision == "refuse"]
     step = float(re.search(r"if rows are ([\d.]+) s apart", finding.text)[1])
     assert step == pytest.approx(0.01, rel=0.05) and "state the unit of time" in finding.text
@@ -551,7 +541,6 @@ TWICE = {
     "with the wrong sign": ("roll", "-cmd_roll"),
     "swapped": ("pitch", "cmd_roll"),
     "heading": ("yaw", "cmd_yaw"),
-    "velocity": ("vx", "des_vx"),
     "position": ("y", "setpoint.y"),
     "requests": ("m2_cmd", "m1_cmd"),
     "rotor speeds": ("m4_speed", "m3_speed"),
@@ -564,7 +553,7 @@ def test_two_columns_that_are_one_signal_are_refused_with_both_names(tmp_path, k
     log = flight()
     speeds = 1000.0 + np.random.default_rng(5).normal(0.0, 10.0, (len(log), 4))
     log = dataclasses.replace(log, requests=40 * speeds, rotor_speed=speeds)
-    table = log_table(log).assign(cmd_yaw=0.5 + 0.1 * np.sin(log.t), des_vx=log.velocity[:, 0] + 0.1)
+    table = log_table(log).assign(cmd_yaw=0.5 + 0.1 * np.sin(log.t))
     table["setpoint.y"] = table.y + 0.1
     assert written(tmp_path / "a.csv", table).notes == ()
     table[one] = -table[other[1:]] if other.startswith("-") else table[other]
