@@ -3,15 +3,15 @@
 from __future__ import annotations
 
 import dataclasses
-from collections.abc import Iterator, Sequence
+from collections.abc import Sequence
 from typing import Any
 
 import numpy as np
 
-from inclined_landing.eval.logs import copies, motion, repeats, values
-from inclined_landing.eval.logs.channels import FULL_COMMAND, Channel
+from inclined_landing.eval.logs import copies, motion, values
+from inclined_landing.eval.logs.channels import FULL_COMMAND
 from inclined_landing.eval.logs.findings import Finding, limit, refuse
-from inclined_landing.eval.logs.log import COMMANDS, MEASURED, FlightLog, as_logs
+from inclined_landing.eval.logs.log import FlightLog, as_logs
 from inclined_landing.models.base.errors import UserError
 
 _ORDER = {"refuse": 0, "limit": 1, "info": 2}
@@ -27,11 +27,7 @@ def check_log(log: FlightLog) -> tuple[Finding, ...]:
     Single columns are checked first; if they pass, signs, axes, units and clocks are checked by the motion.
     """
     (log,) = as_logs([log])
-    findings = list(_check_repeats(log))
-    measured = without_bad_data(log, findings)
-    rows = np.searchsorted(log.t, measured.t)
-    for finding in (*values.check(measured), *copies.check(measured)):
-        findings.append(dataclasses.replace(finding, rows=tuple(rows[list(finding.rows)])))
+    findings = [*values.check(log), *copies.check(log)]
     if not any(finding.decision == "refuse" for finding in findings):
         good = without_bad_data(log, findings)
         moves = motion.motion(good)
@@ -42,29 +38,6 @@ def check_log(log: FlightLog) -> tuple[Finding, ...]:
             why = "is the unit right (for example newton instead of a fraction)?"
             findings.append(limit("cmd_thrust_pwm", f"{text}: {why}"))
     return tuple(sorted(findings, key=lambda finding: _ORDER[finding.decision]))
-
-
-def _check_repeats(log: FlightLog) -> Iterator[Finding]:
-    """Yield findings on rows with placeholders, and on poses that only repeat the previous row."""
-    tables = {MEASURED: np.hstack([log.position, log.attitude]), COMMANDS: log.command}
-    if log.voltage is not None:
-        tables["vbat",] = log.voltage[:, None]
-    channels = {
-        name: Channel(log.t, column, name, wraps=name in ("roll", "yaw"))
-        for names, table in tables.items()
-        for name, column in zip(names, table.T)
-        if np.isfinite(column).all()
-    }
-    if not {"x", "y", "z", "cmd_thrust_pwm"} <= channels.keys():
-        return  # the checks of single columns say so
-    notes: list[str] = []
-    changed = repeats.without_repeats(channels, MEASURED[3:], notes, as_one=True)
-    kept = [np.isin(log.t, changed[name].t) for name in MEASURED if name in changed]
-    rows = np.flatnonzero(~np.all(kept, axis=0)) if kept else ()
-    yield from (limit("", note, rows=tuple(map(int, rows))) for note in notes)
-    for without, column in (("velocity", "vx"), ("voltage", "vbat")):
-        if column in changed:
-            yield limit(column, f"{without} is not logged throughout and is not used", without=without)
 
 
 def enforce(log: FlightLog, where: str | None = None) -> FlightLog:

@@ -116,10 +116,6 @@ class FlightLog:
         changed = {f: getattr(self, f)[selection] for f in _WIDTHS if getattr(self, f) is not None}
         return dataclasses.replace(self, **changed)
 
-    def between(self, start: float, stop: float) -> FlightLog:
-        """Return the rows with start <= t <= stop (s)."""
-        return self.rows(slice(*np.searchsorted(self.t, [start, np.nextafter(stop, np.inf)])))
-
     def pieces(self, shortest: float = 0.0) -> tuple[FlightLog, ...]:
         """Return the stretches between gaps that last at least `shortest` seconds and two rows."""
         ends = [0, *(self.gap_starts + 1), len(self)]

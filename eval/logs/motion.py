@@ -28,12 +28,6 @@ LEAST_EXCITATION = 0.015  # rad rms of tilt, or twice what 1 mm of noise looks l
 LEAST_CORRELATION = 0.6  # correlation from which two columns are said to show the same motion
 SURE_CORRELATION = 0.8  # from which their scales are compared
 MOST_RATIO = 20.0  # of an acceleration to what the attitude gives, beyond which a unit is wrong
-# The largest ratio of one axis to another, which is 0.9 to 1.1 in public and simulated flights. Feet are 3.3,
-# degrees 57.
-AXES_RATIO = 2.0
-# The ratio of the relative change of the specific force to that of the command is 0.5 to 1.1 in these
-# flights, 2 where thrust goes with the command's square.
-MOST_GAIN = 2.5
 # Circling against drag turns the tilt against the acceleration too, by up to 13 deg in NanoBench flights.
 SUSPICIOUS_TURN = np.radians(20.0)
 WRONG_TURN = np.radians(60.0)
@@ -172,7 +166,6 @@ def check(log: FlightLog, moves: LoggedMotion) -> Iterator[Finding]:
         _check_clock(log, moves),
         _check_swapped_height(moves),
         _check_quaternion(moves) if log.from_quaternion else (),
-        _check_axes(moves),
     ):
         found = list(wrong)
         yield from found
@@ -203,34 +196,6 @@ def _check_clock(log: FlightLog, moves: LoggedMotion) -> Iterator[Finding]:
         if not 1 / 4 < step * log.rate < 4:
             text = f"roll and pitch belong to the horizontal acceleration if rows are {step:.2g} s apart"
             yield refuse("t", f"{text}, not {1 / log.rate:.2g} s: state the unit of time")
-
-
-def _check_axes(moves: LoggedMotion) -> Iterator[Finding]:
-    """Yield findings if one axis has another scale than the others."""
-    yaw = np.nan_to_num(np.concatenate(moves.attitude)[:, 2])
-    tilt = np.concatenate(moves.tilt)
-    for names, a, b in (
-        (("x", "y"), tilt * np.exp(1j * yaw), np.concatenate(moves.lean)),
-        (("pitch", "roll"), tilt, np.concatenate(moves.thrust_tilt)),
-    ):
-        ratios = [
-            lean.std() / tilted.std()
-            for tilted, lean in ((a.real, b.real), (a.imag, b.imag))
-            if _correlation(tilted, lean) > SURE_CORRELATION and lean.std() > LEAST_EXCITATION
-        ]
-        if len(ratios) == 2 and not 1 / AXES_RATIO < ratios[0] / ratios[1] < AXES_RATIO:
-            texts = [f"{ratio:.2g} times along {name}" for name, ratio in zip(names, ratios)]
-            text = f"the horizontal acceleration is {' and '.join(texts)} what the attitude implies"
-            yield refuse(
-                ", ".join(names), f"{text}: one of x, y, pitch, roll is in another unit (feet, degrees?)"
-            )
-            return
-    pwm, force = np.concatenate(moves.pwm), np.concatenate(moves.force)
-    gain = (force.std() / GRAVITY) / max(pwm.std() / pwm.mean(), 1e-12)
-    if gain > MOST_GAIN and _best_lag(moves.pwm, moves.force)[1] > SURE_CORRELATION:
-        yield limit(
-            "z", f"z accelerates {gain:.1f} times as much as the thrust command implies: is it in feet?"
-        )
 
 
 def _check_swapped_height(moves: LoggedMotion) -> Iterator[Finding]:

@@ -52,7 +52,10 @@ def test_a_flight_counts_once_however_it_comes_again(how):
 
 
 def test_of_flights_that_overlap_each_row_counts_once():
-    first, second = named(FLIGHT.between(0.0, 8.0), "first"), named(FLIGHT.between(5.0, 12.0), "second")
+    first, second = (
+        named(FLIGHT.rows(FLIGHT.t <= 8.0), "first"),
+        named(FLIGHT.rows(FLIGHT.t >= 5.0), "second"),
+    )
     logs, _, aside, notes = distinct([first, second], [])
     assert [len(log) for log in logs] == [801, 399] and logs[1].t[0] > 8.0 and not aside
     assert notes == ("second: 43 % of its rows are those of first: they count once",)
