@@ -111,7 +111,7 @@ def check(words: list[str]) -> None:
         assert all(word in known or "=" in word for word in rest), words
     elif words[:3] == VALIDATION:
         assert words[3] in validation.COMMANDS, words
-        parse(bound(validation.find(words[3])), " ".join(words[:4]), words[4:])
+        parse(bound(validation.COMMANDS[words[3]]), " ".join(words[:4]), words[4:])
     elif program == "python" and rest[0].endswith(".py"):
         assert (ROOT / rest[0]).is_file(), words
     elif "pytest" in program:
@@ -128,7 +128,7 @@ def check(words: list[str]) -> None:
 def _target(program: str, rest: list[str]):
     """What the words of a command are parsed into; None for those of a program itself (--help, --version)."""
     if program == "tests.validation":
-        return bound(validation.find(rest[0]))
+        return bound(validation.COMMANDS[rest[0]])
     if rest and rest[0] in ("--version",):  # of either program
         return None
     if program == "landing-train" and rest[:1] == ["sweep"]:

@@ -6,7 +6,7 @@ one of these commands or on these cases:
     blind      python -m tests.validation gap-blind --set dev, of commit aa975e64
     fresh      the same with --set fresh --seed 2131 --cases 66
     again      the same with --seed 8101, and 8202, --cases 22 each, by the present search
-    agreement  python -m tests.validation gap-agreement --family dev --cases 6 --seed 0 --out DIR
+    agreement  six development realities, seed 0 (docs/evidence/hidden_effects.md), of commit c852e34c
     six        45 cases of the families of `blind` and of RotorPy, of six flights each, drawn from seed 9001
     recorded   6 random subsets of 4 to 6 flights of crazyswarm2-tools, from seed 9001, for a load of 5 g;
                5 conditions of CrazyPAD with two propellers cut

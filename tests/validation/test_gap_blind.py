@@ -72,8 +72,8 @@ def label(hidden="wind", size="medium", parameters=None):
     return {"causes": names, "size": size if names else None, "parameters": parameters}
 
 
-def report(*named, verdict=None, sure=False, possible=(), sets=()):
-    """named: (name, class, values with their interval); sets: (probability, *names)."""
+def report(*named, verdict=None, sure=False, possible=()):
+    """named: (name, class, values with their interval)."""
     found = [
         {
             "name": name,
@@ -84,7 +84,6 @@ def report(*named, verdict=None, sure=False, possible=(), sets=()):
         for name, members, values in named
     ]
     return {
-        "sets": [{"probability": p, "effects": names} for p, *names in sets],
         "verdict": verdict or ("effects" if named else "nothing"),
         "effects": found,
         "possible": dict.fromkeys(possible, 0.4),
@@ -143,14 +142,6 @@ def test_intervals_are_compared_with_what_was_hidden():
         assert held("battery_sag", truth, "battery_sag", (), sag) == {"slope over load": inside}
     assert held("com_offset", {"x": 0.001}, "com_offset", (), {"x": (0.001, 0.0, 0.002)}) == {}
     assert held("wind", {"x": 0.2, "y": 0.0}, *TRIM) == {}  # another name of its class says nothing of it
-
-
-def test_belief_is_the_probability_of_the_right_sets():
-    sets = ((0.5, "wind"), (0.3, "wind", "rotor_drag"), (0.2,))
-    assert score.belief(label(), report(sets=sets)) == pytest.approx(0.5)
-    assert score.belief(label(""), report(sets=sets)) == pytest.approx(0.2)
-    level = report(sets=((0.4, "mass"), (0.4, "thrust_scale"), (0.2, "wind")))
-    assert score.belief(label("mass"), level) == pytest.approx(0.8)
 
 
 # What is hidden, what is answered, and the shares of which it is one case, with whether it is in them.

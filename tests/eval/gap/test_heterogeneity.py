@@ -12,10 +12,8 @@ from inclined_landing.eval.gap.measured.windows import prepare
 from inclined_landing.eval.gap.model.columns import BASE, Candidates, ParameterColumn, slab_deviations
 from inclined_landing.eval.gap.model.problem import Linearisation, Problem
 from inclined_landing.eval.gap.report import words
-from inclined_landing.eval.gap.result import Difference, InconsistentFlights
 from inclined_landing.models.effects import LIBRARY
 from inclined_landing.models.parameters import load_vehicle
-from tests.validation import gap_agreement
 from tests.validation.gap_blind import generate
 from tests.validation.gap_blind.causes import Drawn
 
@@ -100,18 +98,3 @@ def test_false_alarms_are_as_rare_as_stated():
         near = Linearisation({}, columns, a, b, np.zeros(8), np.arange(8))
         alarms += bool(inconsistent_flights(problem, near))
     assert alarms <= 10
-
-
-def test_what_was_said_is_judged_by_flights_and_intervals():
-    """The half that differs may be told from either side; other flights are false alarms."""
-    tilts = Difference("attitude_gain", (), False, {"scale": 0.87}, {"scale": (0.85, 0.89)})
-    one = InconsistentFlights(("a", "b"), ("c", "d"), (tilts,), 1e-4)
-    truth = {("attitude_gain", "scale"): 1.15}
-    right = gap_agreement.judged((one,), frozenset("cd"), truth)
-    assert right == {"found": True, "other": 0, "effects": ["attitude_gain"], "inside": [True]}  # 1/1.15
-    assert gap_agreement.judged((one,), frozenset("ab"), truth)["inside"] == [False]
-    wrong = gap_agreement.judged((one,), frozenset(), {})
-    assert (wrong["found"], wrong["other"]) == (False, 1)
-    rows = [{"kind": "nothing", **wrong}, {"kind": "another vehicle, half", **right}]
-    lines = [list(line.values()) for line in gap_agreement.counted(rows)]
-    assert lines == [["nothing", 1, None, 1, None], ["another vehicle, half", 1, 1, 0, "1 of 1"]]

@@ -7,7 +7,6 @@ families. An effect whose class holds neither a hidden cause, nor an alias, nor 
 
 from __future__ import annotations
 
-import math
 from collections.abc import Iterable, Mapping
 
 from inclined_landing.models.effects import LIBRARY
@@ -154,20 +153,6 @@ def _named(cause: str, classes: list[set]) -> bool:
     return any(
         all(any(one in members for members in classes) for one in option) for option in accepted(cause)
     )
-
-
-def belief(label: Mapping, report: Mapping) -> float:
-    """Return the probability that the report gives the truth: of all sets that are right.
-
-    Names that free flight cannot tell apart count as one.
-    """
-    welcome, causes = _welcome(label), _to_name(label)
-    right = []
-    for one in report["sets"]:
-        names = {LEVEL[0] if name in LEVEL else name for name in one["effects"]}
-        if names <= welcome and all(_named(cause, [{name} for name in names]) for cause in causes):
-            right.append(one["probability"])
-    return min(1.0, math.fsum(right))
 
 
 def covered(cause: str, label: Mapping, effects: Iterable[Mapping]) -> dict[str, bool]:
