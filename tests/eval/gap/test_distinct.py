@@ -34,7 +34,7 @@ AGAIN = {
     "later, and turned once more": dataclasses.replace(
         FLIGHT, t=FLIGHT.t + 5.0, attitude=FLIGHT.attitude + [0.0, 0.0, 2.0 * np.pi]
     ),
-    "without its voltage": dataclasses.replace(FLIGHT, voltage=None, velocity=None),
+    "without its voltage": dataclasses.replace(FLIGHT, voltage=None),
 }
 
 
