@@ -40,24 +40,6 @@ def _finite(kind: type, values: object) -> np.ndarray:
     return result
 
 
-@dataclasses.dataclass(frozen=True)
-class RegimeError:
-    """Short-window prediction error of one channel in one regime, before and after.
-
-    Translation has the root mean square of the constant acceleration (m/s2) along one axis that each window's
-    error looks like, attitude and yaw that of the angle error (rad) at the end of a window, touchdown that of
-    the position error (m). The flights are those that the model was not fitted to.
-    """
-
-    regime: str  # hover, climb, lateral, attitude_step, near_surface, low_battery, touchdown, or all
-    channel: str  # x, y, z, roll, pitch, yaw, touchdown
-    before: float
-    after: float
-    floor: float  # what measurement noise and disturbance alone give; touchdown: the noise alone
-    unit: str
-    windows: int
-
-
 class Quantity(NamedTuple):
     """A quantity with its 95 % interval."""
 
@@ -75,18 +57,12 @@ class Estimate:
     neutral: float
     bounds: tuple[float, float]
     at_bound: bool
-    per_flight: tuple[float, ...]  # shrunk towards the common value; NaN where not identifiable
-    spread: float  # standard deviation between flights
+    is_shown: bool = True  # False: the flights show only another parameter, which is relative to it
 
     @property
     def differs(self) -> bool:
         """Return whether the interval excludes neutral."""
         return not self.ci95[0] <= self.neutral <= self.ci95[1]
-
-    @property
-    def is_shown(self) -> bool:
-        """Return whether the flights show it, unlike what another parameter is relative to."""
-        return not self.per_flight or any(map(math.isfinite, self.per_flight))
 
     @property
     def firm(self) -> bool:
@@ -102,12 +78,9 @@ class NamedEffect:
     members: tuple[str, ...]  # its equivalence class: itself, then the effects confounded with it
     probability: float  # marginal probability of the class
     parameters: dict[str, Estimate]
-    gain: float  # share of the closable squared error that is lost without it, 0..1
+    gain: float  # share of the closable squared error that is lost without it; NaN: of contact, not known
     remedy: str
     cost: float = math.nan  # m, position error one second ahead that it alone makes
-    # Acceleration [m/s2] that it makes in hover together with the vehicle's other constants: the flights
-    # determine this product. None where they determine its size.
-    product: Quantity | None = None
     doubt: str = ""  # a sentence: why it is not sure, whatever its probability
     # Effect -> parameter -> value of the effects of which the flights show only the sum; then the parameter
     # above is a size of that sum.
@@ -142,21 +115,15 @@ class Dependence:
 
     channel: str  # x, y, z, roll, pitch, yaw, forward, left (of the heading)
     on: str  # place, velocity, commands, ...: the inputs of the function
-    size: float  # its root mean square over the flights
-    unit: str  # m/s2, rad/s2
-    share: float  # of the squared error that it explains on flights left out
-    score: float  # gain in standard deviations over random sign flips
     displacement: float  # m, root mean square displacement by it within a second
     displacement_ci95: tuple[float, float]
-    against: str  # the input that explains most of it
 
 
 @dataclasses.dataclass(frozen=True)
 class ResidualAnalysis:
-    """The residual under the most probable set: its size and its dependence on logged quantities."""
+    """The residual under the most probable set: its dependence on logged quantities."""
 
     p_value: float  # of the largest gain of all functions (permutation test)
-    size: dict[str, float]  # channel -> root mean square beyond noise and disturbance (m/s2 for x, y, z; rad)
     depends_on: tuple[Dependence, ...]  # significant functions, one per channel, most significant first
     error: float = math.nan  # m, remaining position error one second ahead, root mean square
 
@@ -269,13 +236,12 @@ class InconsistentFlights:
 
 @dataclasses.dataclass(frozen=True)
 class PlantGap:
-    """Open-loop position error [m] in one plant at the horizon, root mean square over flights not fitted."""
+    """Open-loop position error [m] one second ahead in one plant, RMS over flights not fitted."""
 
     before: float
     after: float
     floor: float
     windows: int
-    horizon: float  # s
 
 
 @dataclasses.dataclass(frozen=True)
@@ -320,7 +286,6 @@ class Diagnosis:
     effects: tuple[NamedEffect, ...]
     # The vehicle diagnosed with the named effects; of an identified one all constants may be estimated again.
     corrected: Vehicle
-    where: tuple[RegimeError, ...]
     sets: tuple[ScoredSet, ...]  # most probable first; with effects of contact where there are landings
     disturbance: dict[str, Disturbance]  # channel -> noise and disturbance
     residual: ResidualAnalysis
@@ -391,7 +356,7 @@ class Diagnosis:
     @property
     def explained(self) -> float:
         """Return the error [m] one second ahead that the named effects account for."""
-        g = next(iter(self.gap.values()), None)
+        g = self.ahead
         return math.sqrt(max(0.0, g.before**2 - g.after**2)) if g and self.effects else 0.0
 
     @property

@@ -84,7 +84,6 @@ EFFECTS = (
         "apart distinguishes it from a trim, which turns with the vehicle.",
         channels=("translation",),
         says="the air moves with {x} along x and {y} along y",
-        product="the force of the wind; its speed follows from the drag",
         of_the_place=True,
     ),
     Effect(

@@ -51,7 +51,6 @@ EFFECTS = (
         channels=("translation",),
         changes_hover=True,
         says="the vehicle has {scale} times the modelled mass",
-        product="the change of thrust over mass; weighing shows which of the two has changed",
         scales_thrust=True,
         told_by="Weigh the vehicle: in free flight only the ratio of thrust to mass shows.",
     ),
@@ -93,7 +92,6 @@ EFFECTS = (
         apply=_slung_load,
         changes_hover=True,
         says="a load of {mass} swings on a string of {length}",
-        product="the weight of the load; the string's length follows from its swing",
         told_by="Weigh the load and measure its string.",
     ),
     Effect(

@@ -261,9 +261,6 @@ class Effect:
     of_the_place: bool = False  # depends on the room or the day: not a property of the vehicle
     # False: frozen in `identify` (a fault of a single part, or not excited by ordinary flights).
     identified: bool = True
-    # For an effect of which flights identify only a product with another constant, the acceleration that it
-    # causes in hover: two clauses, separated by "; ", on what the product is and how to separate its factors.
-    product: str = ""
     told_by: str = ""  # a sentence on how to measure it without a flight; "": by flights
 
     def __post_init__(self):

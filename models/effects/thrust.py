@@ -31,7 +31,6 @@ EFFECTS = (
         channels=("translation",),
         changes_hover=True,
         says="the rotors give {scale} times the modelled thrust",
-        product="the change of thrust over mass; weighing shows which of the two has changed",
         scales_thrust=True,
     ),
     Effect(

@@ -44,7 +44,7 @@ from inclined_landing.eval.gap.model.columns import (
     slab_deviations,
     without,
 )
-from inclined_landing.eval.gap.model.prediction import POSE_CHANNELS, predict
+from inclined_landing.eval.gap.model.prediction import POSE_CHANNELS
 from inclined_landing.eval.gap.model.problem import Problem, identifiable_effects
 from inclined_landing.eval.gap.model.reference import VehiclePosterior, free_effects
 from inclined_landing.eval.gap.result import (
@@ -61,9 +61,7 @@ from inclined_landing.models.effects import LIBRARY, Effect
 from inclined_landing.models.parameters import as_vehicle
 from inclined_landing.models.vehicle import Vehicle
 
-PAPER_FIT = 85.3  # %, what the paper reports of the attitude loops
 IDLE = 0.01  # growth of the squared error up to which a reference is put back to neutral
-FIT_HORIZON = 1.0  # s, of the velocity changes in the fit of x, y and z
 
 
 @dataclasses.dataclass(frozen=True)
@@ -98,8 +96,8 @@ class Identification:
     reference: VehiclePosterior  # its posterior
     parameters: tuple[Identified, ...]
     identifiable: tuple[Identifiable, ...]  # best identified first
-    fit: dict[str, dict[str, float]]  # channel -> {"before", "after"}: NRMSE fit [%] on flights left out
-    # Open-loop position error [m] one second ahead on these: before, after, floor; empty for no such stretch.
+    # Open-loop position error [m] one second ahead on flights left out: before, after, floor; empty where no
+    # stretch is so long.
     ahead: dict[str, float]
     regimes: dict[str, float]  # share of the windows in each
     kept: tuple[str, ...]  # effects left as they were: fitted, flights left out are predicted worse
@@ -178,7 +176,6 @@ def identify(
         reference=reference.with_new_effects(result),
         parameters=fitted.constants(vehicle),
         identifiable=identifiability(around, reference),
-        fit=fitted.fit,
         ahead=fitted.ahead,
         regimes=dict(
             zip(WINDOW_REGIMES, np.concatenate([f.regimes for f in use.fitted]).mean(axis=0).tolist())
@@ -204,7 +201,6 @@ class _Fit:
     local: LinearGaussian
     vehicle: Vehicle  # with these, but those of the place
     # These are fields of `Identification`, on the flights judged on (`Refit.judged`).
-    fit: dict[str, dict[str, float]]
     ahead: dict[str, float]
     worse: dict[str, tuple[float, float]]
 
@@ -220,13 +216,13 @@ class _Fit:
         own, *left_out = map(_without_place, every)
         refit, before = Refit(problem, own, left_out), problem.vehicle
         judged, vehicles = refit.judged(heldout)
-        fit, ahead, worse = _fits(judged, before, vehicles), {}, {}
+        ahead, worse = {}, {}
         with contextlib.suppress(UserError):  # no stretch of a second
             starts = rollout.RolloutWindows.of(judged)
             ahead, worse = _errors_ahead(starts, before, vehicles), worse_axes(starts, before, refit.vehicle)
         if ahead and ahead["after"] > (1.0 + thresholds.WORSE) * ahead["before"]:
             worse = {"position": (ahead["before"], ahead["after"])}
-        return _Fit(problem, start, values, local, refit.vehicle, fit, ahead, worse)
+        return _Fit(problem, start, values, local, refit.vehicle, ahead, worse)
 
     def is_better_than(self, other: _Fit) -> bool:
         """Return whether the errors in `worse` grow by less than those of another fit.
@@ -386,36 +382,6 @@ def _errors_ahead(
     each = {"before": [before] * len(after), "after": after}
     errors = {n: float(rollout.errors_by_flight(starts, v)[-1]) for n, v in each.items()}
     return errors | {"floor": float(rollout.noise_floor(starts, after[0])[-1])}
-
-
-def nrmse_fit(measured: np.ndarray, predicted: np.ndarray) -> float:
-    """Return the NRMSE fit in percent: 100 (1 - |y - p| / |y - mean y|)."""
-    spread = np.linalg.norm(measured - measured.mean())
-    return float(100.0 * (1.0 - np.linalg.norm(measured - predicted) / spread)) if spread > 0 else math.nan
-
-
-def _fits(
-    flights: Sequence[MeasuredFlight], before: Vehicle, after: Sequence[Vehicle]
-) -> dict[str, dict[str, float]]:
-    """Return the fit in percent of every channel: velocity changes over FIT_HORIZON, open-loop angles."""
-    parts: dict[str, list] = {}
-    for flight, own in zip(flights, after):
-        predictions = [predict(flight, v) for v in (before, own)]
-        n = round(FIT_HORIZON / flight.dt)
-        first = flight.usable_from(np.arange(0, flight.samples - n - 1, max(1, n // 2)), n + 1)
-        for k, axis in enumerate("xyz"):
-            rates = [np.gradient(p[:, k], flight.dt) for p in predictions]
-            series = [flight.velocity[:, k], *rates]
-            parts.setdefault(axis, []).append([s[first + n] - s[first] for s in series])
-        rows = flight.usable
-        for k, angle in enumerate(("roll", "pitch")) if flight.has_angle_commands else ():
-            series = [flight.attitude[:, k], *(p[:, 3 + k] for p in predictions)]
-            parts.setdefault(angle, []).append([s[rows] for s in series])
-    fits = {}
-    for channel, series in parts.items():
-        measured, *predicted = (np.concatenate(x) for x in zip(*series))
-        fits[channel] = {n: nrmse_fit(measured, p) for n, p in zip(("before", "after"), predicted)}
-    return fits
 
 
 def problem_about(problem: Problem, vehicle: Vehicle) -> Problem:

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import dataclasses
-import itertools
 import math
 from collections.abc import Mapping, Sequence, Set
 from functools import cached_property
@@ -14,7 +13,6 @@ import numpy as np
 from inclined_landing.eval.gap import thresholds
 from inclined_landing.eval.gap.answer import rollout
 from inclined_landing.eval.gap.answer.sizes import estimates, loop_pieces, response
-from inclined_landing.eval.gap.infer import residual
 from inclined_landing.eval.gap.infer.fit import (
     field_half_widths,
     fit_least_squares,
@@ -29,11 +27,10 @@ from inclined_landing.eval.gap.infer.sets import (
     leave_one_out,
     posterior_mode,
 )
-from inclined_landing.eval.gap.measured.windows import WINDOW_REGIMES, MeasuredFlight
+from inclined_landing.eval.gap.measured.windows import MeasuredFlight
 from inclined_landing.eval.gap.model.columns import FittedValues, Values, slab_deviations, without
-from inclined_landing.eval.gap.model.prediction import channels_of
 from inclined_landing.eval.gap.model.problem import Problem
-from inclined_landing.eval.gap.result import HORIZON, ErrorGrowth, PlantGap, RegimeError
+from inclined_landing.eval.gap.result import HORIZON, ErrorGrowth, PlantGap
 from inclined_landing.models.base.errors import UserError
 from inclined_landing.models.effects import Effect
 from inclined_landing.models.vehicle import Vehicle
@@ -312,35 +309,6 @@ def corrected(found: SetPosterior, values: FittedValues) -> Refit:
     return min(named_alone, all_again, key=lambda fit: fit.pose_errors[rollout.POSITION])
 
 
-def regime_errors(correction: Refit, heldout: Sequence[MeasuredFlight]) -> tuple[RegimeError, ...]:
-    """Return the root mean square errors by regime and channel, before and after, on flights not fitted."""
-    problem, judged = correction.problem, correction.judged(heldout)
-    if heldout:
-        test = Problem.of(heldout, problem.vehicle, {})
-        problem = test.whitened(problem.noise_model, correction.vehicle)
-    nominal = [problem.vehicle] * len(judged.flights)
-    before, variance = residual.equivalent_sizes(problem, problem.white_errors(nominal))
-    after, _ = residual.equivalent_sizes(problem, problem.white_errors(judged.vehicles))
-    regimes = np.concatenate([f.regimes for f in problem.flights])
-    members = {"all": np.ones(len(regimes), bool), **dict(zip(WINDOW_REGIMES, regimes.T))}
-    rows = []
-    for name, k in itertools.product(members, range(problem.channels)):
-        channel, w = channels_of(problem)[k], members[name] & (problem.logged[:, k] > 0.0)
-        if w.any():
-            rows.append(
-                RegimeError(
-                    regime=name,
-                    channel=channel,
-                    before=float(np.sqrt((before[w, k] ** 2).mean())),
-                    after=float(np.sqrt((after[w, k] ** 2).mean())),
-                    floor=float(np.sqrt(variance[w, k].mean())),
-                    unit=residual.UNITS[channel],
-                    windows=int(w.sum()),
-                )
-            )
-    return tuple(rows)
-
-
 @dataclasses.dataclass(frozen=True)
 class EffectAhead:
     """The change of the position one second ahead by a named effect."""
@@ -384,7 +352,6 @@ def open_loop_errors(
                 after=float(rollout.errors_by_flight(windows, judged.vehicles, plant)[-1]),
                 floor=float(floor[-1]),
                 windows=len(windows),
-                horizon=windows.rows * windows.dt,
             )
         except UserError as why:  # as loops that are too fast for the engine's step
             notes.append(f"the gap was not measured in {plant}: {why}")

@@ -19,7 +19,6 @@ from inclined_landing.eval.gap.model.columns import (
     Values,
     at_an_end,
     fitting,
-    without,
 )
 from inclined_landing.eval.gap.model.prediction import UNITS_OF, channels_of
 from inclined_landing.eval.gap.model.problem import Problem
@@ -39,12 +38,11 @@ def estimates(found: SetPosterior, values: Values) -> dict[str, dict[str, Estima
     for name in values:
         for p in problem.library[name].parameters:
             value, known = values[name][p.name], sized.get((name, p.name))
-            ends, per_flight, spread = p.possible, (math.nan,) * len(problem.flights), 0.0
+            ends = p.possible
             if known is not None:  # else a reference: another one and another size do the same
                 half = half_width(problem, known.error)
                 below, above = _extrapolated(value - p.neutral, half, fitting(name).extrapolated)
                 ends = max(p.bounds[0], p.neutral + below), min(p.bounds[1], p.neutral + above)
-                per_flight, spread = tuple(map(float, value + known.deviation)), known.between
             result[name][p.name] = Estimate(
                 value=value,
                 unit=p.unit,
@@ -52,8 +50,7 @@ def estimates(found: SetPosterior, values: Values) -> dict[str, dict[str, Estima
                 neutral=p.neutral,
                 bounds=p.bounds,
                 at_bound=known is not None and thresholds.at_bound(value, p.bounds),
-                per_flight=per_flight,
-                spread=spread,
+                is_shown=known is not None,
             )
     return result
 
@@ -117,8 +114,6 @@ def response(found: SetPosterior, values: Values, pieces: Sequence[str]) -> Esti
         neutral=step_response_time(vehicle),
         bounds=(0.0, STEP_RESPONSE),
         at_bound=False,
-        per_flight=(),
-        spread=0.0,
     )
 
 
@@ -177,22 +172,6 @@ def propagated(
     slope = np.array([(moved(at + one) - here) / x for one, x in zip(np.diag(step), step)])
     half = half_width(problem, np.sqrt(slope @ covariance @ slope))
     return Quantity(here, (here - half, here + half))
-
-
-def product(found: SetPosterior, values: Values, name: str) -> Quantity:
-    """Return the acceleration [m/s2] that an effect makes in hover."""
-    # The vehicle and all other effects are fixed; a is the information, V the slab:  C = (a + V^-1)^-1
-    local = found.local.for_sizes_of(frozenset(values))
-    own = size_columns(found.problem, local, [name])
-    information = local.a.sum(axis=0)[np.ix_(own, own)] + np.linalg.inv(local.slab[np.ix_(own, own)])
-    covariance = np.linalg.inv(information) * np.outer(local.unit[own], local.unit[own])
-    rest = found.problem.hover_acceleration(without(values, name))
-
-    def made(at: Values) -> float:
-        return float(np.linalg.norm(found.problem.hover_acceleration(at) - rest))
-
-    value, (low, high) = propagated(found.problem, values, [local.columns[k] for k in own], covariance, made)
-    return Quantity(value, (max(0.0, low), high))
 
 
 def thrust_over_weight(found: SetPosterior, values: Values) -> Quantity | None:

@@ -26,7 +26,7 @@ from inclined_landing.eval.gap.infer.gaussian import SPIKE, EffectSet, flight_we
 from inclined_landing.eval.gap.infer.sets import REFIT_ABOVE
 from inclined_landing.eval.gap.infer.touchdown_simulation import TouchdownProblem
 from inclined_landing.eval.gap.measured.landings import Landing, LandingReference
-from inclined_landing.eval.gap.model.columns import SLAB, FittedValues, Values, without
+from inclined_landing.eval.gap.model.columns import SLAB, FittedValues, Values
 from inclined_landing.eval.gap.result import Estimate, ScoredSet, Touchdowns, marginal
 from inclined_landing.models.effects import Effect
 from inclined_landing.models.vehicle import Vehicle
@@ -100,7 +100,6 @@ class ContactPosterior:
 
     sets: tuple[ScoredSet, ...]  # most probable first
     sizes: dict[str, Estimate]  # of the most probable set
-    gains: dict[str, float]  # effect -> share of the decrease in deviance that is lost without it
     touchdowns: Touchdowns  # what the set leaves
 
     @property
@@ -131,7 +130,7 @@ def contact_posterior(
     values = sets[0].values
     p_value = common_residual_p_value(problem.landings, engine.residual(values), engine.inflation)
     touchdowns = Touchdowns(len(landings), p_value < thresholds.LANDING_RESIDUAL, p_value)
-    return problem, ContactPosterior(sets, engine.estimates(chosen), engine.gains(values), touchdowns)
+    return problem, ContactPosterior(sets, engine.estimates(chosen), touchdowns)
 
 
 @dataclasses.dataclass(frozen=True)
@@ -382,22 +381,16 @@ class _ContactModel:
         return {self.names.index(x.name): float(x.best[self.names.index(x.name)]) for x in profiles}
 
     def estimates(self, profiles: Sequence[_Profile]) -> dict[str, Estimate]:
-        """Return the estimates of a set with credible intervals, and those of single landings."""
+        """Return the estimates of a set with credible intervals."""
         own, result = self._best(profiles), {}
-        residual = self._errors(own) if own else self.neutral
-        weight = weights(residual) / self.inflation
         for profile in profiles:
             j = self.names.index(profile.name)
-            p, slopes = self.parameters[j], self.slopes[..., j]
+            p = self.parameters[j]
             density = np.exp(profile.log[1:] - profile.evidence[1:, None]).mean(axis=0)
             below = np.cumsum(density) - 0.5 * density
             ends = np.interp([0.5 - 0.5 * CREDIBLE, 0.5 + 0.5 * CREDIBLE], below, profile.sizes)
-            known = np.einsum("ic,icq,icq->i", weight, slopes, slopes) + self.spike[j] ** -2.0
-            each = own[j] + np.einsum("ic,icq,icq->i", weight, slopes, residual) / known
             value = p.bounded(own[j])
-            error = [p.bounded(own[j] + x) - value for x in known**-0.5]
             low, high = (p.bounded(x) for x in ends)
-            singles = np.array([p.bounded(x) for x in each])
             result[profile.name] = Estimate(
                 value=value,
                 unit=p.unit,
@@ -405,23 +398,8 @@ class _ContactModel:
                 neutral=p.neutral,
                 bounds=p.bounds,
                 at_bound=thresholds.at_bound(value, p.bounds),
-                per_flight=tuple(map(float, singles)),
-                spread=dersimonian_laird(singles, np.abs(error)),
             )
         return result
-
-    def gains(self, values: Values) -> dict[str, float]:
-        """Return effect -> share of the set's decrease in deviance that is lost without it."""
-
-        def deviance(some: Values) -> float:
-            return -float(log_t(self.problem.errors(self.problem.corrected(some))).sum())
-
-        if not values:
-            return {}
-        after = deviance(values)
-        closed = max(-float(log_t(self.neutral).sum()) - after, 1e-9)
-        lost = {name: deviance(without(values, name)) - after for name in values}
-        return {name: float(np.clip(x / closed, 0.0, 1.0)) for name, x in lost.items()}
 
     def residual(self, values: Values) -> np.ndarray:
         """Return the residual (n, 6, q) at `values`, small (spike) errors of all effects removed."""
@@ -487,17 +465,3 @@ def common_residual_p_value(landings: Sequence[Landing], residual: np.ndarray, i
         squares = (h * np.linalg.solve(a + a @ a, h[..., None])[..., 0]).sum(axis=1)
         values.append(chdtrc(COMMON_MODES, squares))
     return float(min(1.0, np.min(values) * np.size(values)))
-
-
-def dersimonian_laird(value: np.ndarray, error: np.ndarray) -> float:
-    """Return the between-flight standard deviation by moments (DerSimonian and Laird 1986)."""
-    # tau^2 = [Q - (k - 1)] / (S1 - S2 / S1),  Q = sum w (x - mean)^2,  w = 1 / se^2,
-    # S1 = sum w,  S2 = sum w^2
-    good = np.isfinite(value) & np.isfinite(error) & (error > 0)
-    if good.sum() < 3:
-        return 0.0
-    w = 1.0 / error[good] ** 2
-    mean = (w * value[good]).sum() / w.sum()
-    q = (w * (value[good] - mean) ** 2).sum()
-    excess = (q - (good.sum() - 1)) / (w.sum() - (w**2).sum() / w.sum())
-    return math.sqrt(max(0.0, float(excess)))

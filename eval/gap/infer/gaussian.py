@@ -381,12 +381,10 @@ class LinearGaussian:
         return np.linalg.solve(a + np.diag(1.0 / self.between), b - a @ change)
 
     def parameter_errors(self, values: Values) -> dict[tuple[str, str], ParameterErrors]:
-        """Return (effect, parameter) -> its standard error and random effects, for the set of `values`."""
+        """Return (effect, parameter) -> its errors, for the set of `values`."""
         names = frozenset(values)
-        change, _ = self.posterior(names)
         _, covariance = self.change(names)
         variance = self.standard_errors(names) ** 2
-        deviation = np.array([self.random_effect(k, change) for k in range(len(self.flight_a))])
         result = {}
         fitted = [c.key for c in self.columns if c.effect in names and isinstance(c, ParameterColumn)]
         for name, parameter in dict.fromkeys(fitted):
@@ -397,7 +395,6 @@ class LinearGaussian:
             unit = self.unit[k[0]] * p.slope(values[name][parameter])
             result[name, parameter] = ParameterErrors(
                 error=float(np.sqrt(max(0.0, square)) * unit),
-                deviation=deviation[:, k].sum(axis=1) * unit,
                 between=float(np.sqrt(self.between[k].mean()) * unit),
             )
         return result
@@ -405,10 +402,9 @@ class LinearGaussian:
 
 @dataclasses.dataclass(frozen=True)
 class ParameterErrors:
-    """Standard error, random effects and between-flight deviation of a parameter, in its unit."""
+    """Standard error and between-flight deviation of a parameter, in its unit."""
 
     error: float  # standard error
-    deviation: np.ndarray  # (f,) random effect of every flight
     between: float  # between-flight standard deviation
 
 

@@ -23,21 +23,18 @@ from inclined_landing.eval.gap.infer.gaussian import EffectSet, LinearGaussian
 from inclined_landing.eval.gap.infer.sets import SetPosterior
 from inclined_landing.eval.gap.measured.noise import ErrorResponses
 from inclined_landing.eval.gap.measured.windows import MeasuredFlight
-from inclined_landing.eval.gap.model.prediction import POSE_CHANNELS, UNITS_OF, channels_of
+from inclined_landing.eval.gap.model.prediction import POSE_CHANNELS, UNITS_OF
 from inclined_landing.eval.gap.model.problem import Problem
 from inclined_landing.eval.gap.model.reference import LINEAR, TARGETS, TIME, Basis, ReferenceResidual
 from inclined_landing.eval.gap.result import HORIZON, Dependence, Quantity, ResidualAnalysis
 from inclined_landing.models.threads import two_at_a_time
 from inclined_landing.models.vehicle import Vehicle
 
-# Of `equivalent_sizes`.
-UNITS = {channel: "rad" if unit == "rad/s2" else unit for channel, unit in UNITS_OF.items()}
 FLIPS = 400  # random sign flips: eight are beyond the level of 2 %
 BLOCK = 5.0  # s of flight that share a sign in the permutation test: longer than a disturbance lasts
 # How long ago commands and velocities may act still, chosen by hand.
 COMMAND_LAGS = (0.1, 0.25)  # s
 VELOCITY_LAGS = (0.15, 0.3, 0.5)  # s
-BINS = 8  # of an input, over which a function's means are compared
 SAMPLES = 200  # of the bootstrap over groups of windows
 EXPECTED_SIZE = {"m/s2": 0.01, "rad/s2": 0.3}  # least prior standard deviation of a function, chosen by hand
 
@@ -67,15 +64,6 @@ def reference_residual(problem: Problem, residual: Sequence[np.ndarray]) -> Refe
         if np.any(weights := f.shrinkage() * f.weights()):
             result.setdefault(f.on, {})[f.target] = weights
     return ReferenceResidual(bases, result)
-
-
-def equivalent_sizes(problem: Problem, white: Sequence[np.ndarray]) -> tuple[np.ndarray, np.ndarray]:
-    """Return every window's error (w, C) as a constant acceleration or angle, and its variance."""
-    value = np.concatenate([f.whitening.amplitudes(x) for f, x in zip(problem.flights, white)])
-    variance = np.concatenate(
-        [np.tile(1.0 / f.whitening.power, (len(x), 1)) for f, x in zip(problem.flights, white)]
-    )
-    return value, variance
 
 
 class Regressor(NamedTuple):
@@ -193,13 +181,12 @@ class _RidgeRegression:
 
 
 def analyse_residual(found: SetPosterior, vehicle: Vehicle) -> ResidualAnalysis:
-    """Return the residual's size by channel and its significant functions, given the most probable set.
+    """Return the residual's significant functions, given the most probable set.
 
     vehicle: the corrected one.
     """
     problem = found.problem
     residual = white_residuals(problem, found.local, found.names)
-    size = _sizes_beyond_noise(problem, residual)
     repeating = problem.reference.repeating if problem.reference else None
     inputs = regressors(problem.flights)
     bases = {name: _basis(problem, of) for name, of in inputs.items()}
@@ -215,20 +202,9 @@ def analyse_residual(found: SetPosterior, vehicle: Vehicle) -> ResidualAnalysis:
     for k in np.argsort(-scores[:, 0], kind="stable"):
         f = functions[k]
         if scores[k, 0] >= threshold and f.target not in depends and f.gain > 0.0:
-            score = float(scores[k, 0])
-            depends[f.target] = _dependence(problem, f, bases[f.on], inputs[f.on], residual, vehicle, score)
-    return ResidualAnalysis(p_value, size, depends_on=tuple(depends.values()))
-
-
-def _sizes_beyond_noise(problem: Problem, white: Sequence[np.ndarray]) -> dict[str, float]:
-    """Return channel -> root mean square of the errors beyond noise and disturbance."""
-    value, variance = equivalent_sizes(problem, white)
-    size = {}
-    for k, channel in enumerate(channels_of(problem)):
-        w = problem.logged[:, k] > 0.0
-        if w.any():
-            size[channel] = float(np.sqrt(max(0.0, (value[w, k] ** 2 - variance[w, k]).mean())))
-    return size
+            moved = _displacement(problem, f, bases[f.on], inputs[f.on], vehicle)
+            depends[f.target] = Dependence(f.target, f.on, moved.value, moved.ci95)
+    return ResidualAnalysis(p_value, depends_on=tuple(depends.values()))
 
 
 def _functions(
@@ -252,40 +228,6 @@ def _functions(
         ]
 
     return list(itertools.chain.from_iterable(two_at_a_time(fits, inputs)))
-
-
-def _dependence(
-    problem: Problem,
-    function: _RidgeRegression,
-    basis: Basis,
-    regressor: Regressor,
-    residual: Sequence[np.ndarray],
-    vehicle: Vehicle,
-    score: float,
-) -> Dependence:
-    """Return a function's size, and the input that explains most of it."""
-    weights = function.weights()
-    values = [basis(x) @ weights for x in regressor.inputs]
-    value = np.concatenate([f.cut(v).mean(axis=1) for f, v in zip(problem.flights, values)])
-    means = [f.cut(v).mean(axis=1) for f, v in zip(problem.flights, regressor.inputs)]
-    spreads = [_variance_between_bins(x, value) for x in np.concatenate(means).T]
-    weight = problem.weight / problem.inflation
-    squares = sum(
-        (np.concatenate([(e[:, c] ** 2).sum(axis=1) for e in residual]) * weight[:, c]).sum()
-        for c in _channels(function.target)
-    )
-    displacement = _displacement(problem, function, basis, regressor, vehicle)
-    return Dependence(
-        channel=function.target,
-        on=function.on,
-        size=float(np.sqrt((value**2).mean())),
-        unit=UNITS_OF.get(function.target, UNITS_OF["x"]),
-        share=float(np.clip(function.gain / max(squares, 1e-9), 0.0, 1.0)),
-        score=score,
-        displacement=displacement.value,
-        displacement_ci95=displacement.ci95,
-        against=regressor.names[int(np.argmax(spreads))],
-    )
 
 
 def _displacement(
@@ -351,17 +293,6 @@ def _basis(problem: Problem, regressor: Regressor) -> Basis:
     """Return the basis of the inputs of all flights."""
     usable = [x[f.usable] for f, x in zip(problem.flights, regressor.inputs)]
     return Basis.of(np.concatenate(usable), regressor.names)
-
-
-def _variance_between_bins(x: np.ndarray, y: np.ndarray) -> float:
-    """Return the variance of y between bins of x."""
-    edges = np.unique(np.quantile(x, np.linspace(0, 1, BINS + 1)))
-    if len(edges) < 3:
-        return 0.0
-    place = np.clip(np.searchsorted(edges, x, side="right") - 1, 0, len(edges) - 2)
-    count = np.maximum(1, np.bincount(place, minlength=len(edges) - 1))
-    mean = np.bincount(place, y) / count
-    return float((count * (mean - y.mean()) ** 2).sum() / len(y))
 
 
 def _fit(

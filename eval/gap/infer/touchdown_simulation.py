@@ -125,11 +125,3 @@ def simulate(landings: Sequence[Landing], vehicle: Vehicle) -> np.ndarray:
     pose = fly(plant, commands.swapaxes(0, 1))[..., [X, Y, Z, ROLL, PITCH, PITCH + 1]].swapaxes(0, 1)
     pose[..., 3:] = np.unwrap(pose[..., 3:], axis=1)
     return pose
-
-
-def position_errors(landings: Sequence[Landing], vehicle: Vehicle) -> np.ndarray:
-    """Return the distance (n, samples) [m] between simulated and measured position of every landing."""
-    simulated = simulate(landings, vehicle)
-    samples = min(len(x.compared) for x in landings)
-    error = [(x.measured - s[x.compared])[:samples, :3] for x, s in zip(landings, simulated)]
-    return np.linalg.norm(error, axis=2)

@@ -8,7 +8,7 @@ from pathlib import Path
 
 from inclined_landing.eval.base.claims import Section, Table
 from inclined_landing.eval.gap import thresholds
-from inclined_landing.eval.gap.answer.identification import PAPER_FIT, Identification, Identified
+from inclined_landing.eval.gap.answer.identification import Identification, Identified
 from inclined_landing.eval.gap.report import words
 from inclined_landing.eval.gap.report.page import build_page, limits, print_answer
 from inclined_landing.models.effects import LIBRARY
@@ -36,18 +36,13 @@ def sentences(found: Identification) -> list[str]:
         f"(nominal {words.exact(p.before, p.unit)})"
         for p in changed_parameters(found)
     ]
-    fits = [
-        f"{channel} {_percent(fit['after'])} (nominal {_percent(fit['before'])})"
-        for channel, fit in found.fit.items()
-    ]
     those = "These constants differ" if len(values) > 1 else "This constant differs"
     lines = [f"{those}: {words.listed(values)}."] if values else []
-    paper = f"The paper reports {PAPER_FIT:g} % for the attitude."
-    lines.append(f"Fit on flights not fitted: {', '.join(fits)}. {paper}")
     if found.ahead:
         before, after, floor = (words.centimetres(found.ahead[n]) for n in ("before", "after", "floor"))
         lines.append(
-            f"Position error one second ahead on these: {after} (nominal {before}, noise alone {floor})."
+            f"Position error one second ahead on flights not fitted: {after} (nominal {before}, noise alone "
+            f"{floor})."
         )
     if found.kept:
         kept = words.labels(found.kept)
@@ -100,21 +95,14 @@ def identifiable_rows(found: Identification) -> list[tuple[str, str, str, str]]:
 
 
 def page(found: Identification, *, heldout: Sequence[str], versions: dict, notes: Sequence[str] = ()) -> str:
-    """Return the HTML page; heldout: names of the flights held out for the fit in percent."""
-    fit = [(channel, *map(_percent, (of["before"], of["after"]))) for channel, of in found.fit.items()]
-    text = (
-        "The fit is 100 % minus the error relative to the signal's own variation, of velocity changes "
-        "over 1 s in x, y and z, and of angles simulated open loop. The paper reports "
-        f"{PAPER_FIT:g} % for the angles."
-    )
+    """Return the HTML page; heldout: names of the flights held out."""
     identifiable = (
         "Standard error of each effect, fitted jointly with all others, over its prior standard deviation: "
         "at 100 % the flights do not excite it at all. Flights of the last column would identify it better."
     )
     heads = ("effect", "standard error", "confounded with", "excited by")
-    fits, shown = Table("", ("", "nominal", "identified"), fit), Table("", heads, identifiable_rows(found))
+    shown = Table("", heads, identifiable_rows(found))
     sections = [
-        Section("fit", "Fit on flights not fitted", text, tables=[fits]),
         Section("differ", "Constants that differ", tables=[_table(changed_parameters(found))]),
         *limits(found, notes, heldout),
         Section("constants", "All constants", tables=[_table(found.parameters)]),
@@ -143,7 +131,3 @@ def show(found: Identification, notes: Sequence[str] = (), vehicle: Path | None 
     """Print constants, notes and headline; vehicle: the file that was written."""
     answer = headline(found) + (f" The vehicle file is {vehicle}." if vehicle else "")
     print_answer(answer, sentences(found), _table(found.parameters), notes, found)
-
-
-def _percent(fit: float) -> str:
-    return (f"{fit:.1f} %" if abs(fit) < 100 else f"{fit:.0f} %") if math.isfinite(fit) else "not known"

@@ -27,7 +27,7 @@ from inclined_landing.eval.gap.measured.usable import ReadFlights
 from inclined_landing.eval.gap.measured.windows import NEAR, prepare
 from inclined_landing.eval.gap.report import words
 from inclined_landing.eval.gap.report.files import MJCF, VEHICLE
-from inclined_landing.eval.gap.result import HORIZON, Diagnosis, RegimeError
+from inclined_landing.eval.gap.result import HORIZON, Diagnosis
 from inclined_landing.eval.logs import FlightLog
 from inclined_landing.models.base import storage
 from inclined_landing.models.base.errors import UserError
@@ -64,13 +64,10 @@ def page(
     change = Section("change", "What to change", words.causes(d), tables=[effect_table(d)])
     change.figures = dict.fromkeys(images, caption(track))
     change.remarks = [_USE] if d.effects else []
-    each = "Each is the sum over all sets of effects with it."
-    probabilities = Table("", ("effect", "probability"), probability_rows(d))
     sections = [
         change,
-        Section("error", "Remaining error", tables=_error_tables(d)),
+        Section("error", "Remaining error", tables=[_error_table(d)]),
         *limits(d, notes, [name for name in d.heldout if name not in d.flights]),
-        Section("probabilities", "Probabilities", each, tables=[probabilities]),
     ]
     return build_page(sections, d, "gap", words.headline(d), words.how_much(d), versions, images)
 
@@ -108,43 +105,15 @@ def effect_table(d: Diagnosis) -> Table:
     return Table("", ("effect", "size", "95 % interval", "confidence", "error after 1 s"), rows, labels=1)
 
 
-def _error_tables(d: Diagnosis) -> list[Table]:
-    """Return the tables of the error one second ahead, and by regime and channel."""
-    lengths = []
+def _error_table(d: Diagnosis) -> Table:
+    """Return the table of the error one second ahead in each plant."""
+    rows = []
     for plant, g in d.gap.items():
         known = d.reference.error if d.reference and plant == "analytic" else None
-        row = (g.before, g.after, known, g.floor)
-        lengths.append((_PLANTS[plant], *("" if x is None else words.centimetres(x) for x in row)))
+        lengths = (g.before, g.after, known, g.floor)
+        rows.append((_PLANTS[plant], *("" if x is None else words.centimetres(x) for x in lengths)))
     heads = ("simulated with", "before", "after", "reference flights", "noise alone")
-    ahead = next(iter(d.gap.values())).horizon if d.gap else 1.0
-    tables = [Table(f"Position error {ahead:.2g} s ahead", heads, lengths)]
-    channels = tuple(dict.fromkeys(row.channel for row in d.where))
-    cells = {(row.regime, row.channel): row for row in d.where}
-    regimes = [regime for regime in words.REGIME_LABELS if any(row.regime == regime for row in d.where)]
-    rows = [
-        (words.REGIME_LABELS[regime], *(_before_after(cells.get((regime, channel))) for channel in channels))
-        for regime in regimes
-    ]
-    caption = (
-        "Error within windows of 0.6 s, before → after (noise and disturbances alone); in x, y and z as "
-        "acceleration, with the measured attitude"
-    )
-    return [*tables, Table(caption, ("flights", *channels), rows)]
-
-
-def _before_after(row: RegimeError | None) -> str:
-    """Return the errors of a regime and channel as text."""
-    if row is None:
-        return ""
-    before, after, floor = (words.quantity(x, row.unit) for x in (row.before, row.after, row.floor))
-    return f"{before.split()[0]} → {after.split()[0]} ({floor})"
-
-
-def probability_rows(d: Diagnosis) -> list[tuple]:
-    """Return the effects that are named or possible with their probabilities, most probable first."""
-    names = dict.fromkeys([*(n for e in d.effects for n in e.members), *d.possible])
-    ranked = sorted(names, key=lambda name: -d.probability(name))
-    return [(words.label(name), words.probability(d.probability(name))) for name in ranked]
+    return Table("Position error one second ahead", heads, rows)
 
 
 def limits(
@@ -319,8 +288,8 @@ def draw_growth(axis: Axes, d: Diagnosis) -> None:
         look: dict[str, Any] = {"color": "white", "markeredgewidth": 1.6, "markersize": 5.5}
         look |= {"zorder": 20, "clip_on": False}
         text = "the same windows simulated in MuJoCo"
-        axis.plot(engine.horizon, 100 * engine.before, "D", markeredgecolor=BEFORE, label=text, **look)
-        axis.plot(engine.horizon, 100 * engine.after, "D", markeredgecolor=AFTER, **look)
+        axis.plot(horizon[-1], 100 * engine.before, "D", markeredgecolor=BEFORE, label=text, **look)
+        axis.plot(horizon[-1], 100 * engine.after, "D", markeredgecolor=AFTER, **look)
         axis.legend(loc="upper left", handletextpad=0.2)
     top = 1.06 * max(end.height for end in ends)
     axis.set(xlim=(0, horizon[-1]), ylim=(0, top), xlabel="horizon [s]", ylabel="position error [cm, RMS]")

@@ -28,7 +28,6 @@ REGIME_LABELS = {
     "near_surface": "near a surface",
     "low_battery": "low battery",
     "touchdown": "touchdown",
-    "all": "all windows",
 }
 
 
@@ -230,12 +229,11 @@ def _nameless(d: Diagnosis) -> str:
 def how_much(d: Diagnosis) -> str:
     """Return sentences on the error one second ahead: how much was explained, is left, and repeats."""
     lines = []
-    if d.gap:
-        g = next(iter(d.gap.values()))
+    if g := d.ahead:
         before, after = centimetres(g.before), centimetres(g.after)
-        error = f"position error {'one second' if f'{g.horizon:.2g}' == '1' else f'{g.horizon:.2g} s'} ahead"
+        error = "position error one second ahead"
         beside = f"noise alone: {centimetres(g.floor)}"
-        if d.reference and "analytic" in d.gap:
+        if d.reference:
             beside = f"reference flights: {centimetres(d.reference.error)}, {beside}"
         if before == after:
             lines.append(f"The {error} is {after} ({beside}).")
@@ -253,7 +251,7 @@ def how_much(d: Diagnosis) -> str:
     if material := d.residual.material_functions:
         most = max(material, key=lambda one: one.displacement)
         repeats = f"Of the remaining error, {centimetres(most.displacement)} repeats from flight to flight"
-        lines.append(f"{repeats}: {axis(most)}, depending on {most.against}.")
+        lines.append(f"{repeats}: {axis(most)}, depending on {most.on}.")
     if not (d.residual.depends_on or d.inconsistent_flights):
         like = "noise and air disturbances" if not d.exceeds_reference else "gusts and other disturbances"
         lines.append(f"The remaining error does not depend on any logged signal, just like {like}.")
@@ -284,7 +282,7 @@ def answers(d: Diagnosis) -> list[Answer]:
     found = [_undecided(d, name) for name in d.undecided] if d.verdict == "undecided" else []
     for e in d.effects:
         cost = centimetres(e.cost) if math.isfinite(e.cost) else ""
-        notes = tuple(t for t in (product_sentence(e), confounding_sentence(d, e), e.doubt) if t)
+        notes = tuple(t for t in (confounding_sentence(d, e), e.doubt) if t)
         found.append(Answer(title(e), how_sure(e), size_rows(e), cost, remedy(e), sentence(e), notes))
     for one in d.residual.material_functions:
         size, ends = quantity(one.displacement, "m"), interval(one.displacement_ci95, "m")
@@ -299,15 +297,6 @@ def answers(d: Diagnosis) -> list[Answer]:
             )
         )
     return found
-
-
-def product_sentence(e: NamedEffect) -> str:
-    """Return a sentence on the product of sizes that the flights see; empty where they see the size."""
-    if e.product is None:
-        return ""
-    number, ends = quantity(e.product.value, "m/s2"), interval(e.product.ci95, "m/s2")
-    what, _, consequence = LIBRARY[e.name].product.partition("; ")  # the two clauses of `Effect.product`
-    return f"The flights determine only {what}, {number} ({ends}) in hover; {consequence}."
 
 
 def _undecided(d: Diagnosis, name: str) -> Answer:

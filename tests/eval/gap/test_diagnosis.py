@@ -13,7 +13,6 @@ from inclined_landing.eval.gap import diagnose, gap_example, measure_gap, pipeli
 from inclined_landing.eval.gap.answer import selection, sizes
 from inclined_landing.eval.gap.answer.identification import identify
 from inclined_landing.eval.gap.infer import sets
-from inclined_landing.eval.gap.infer.contact import dersimonian_laird
 from inclined_landing.eval.gap.infer.fit import (
     active_set_step,
     estimate_noise,
@@ -154,7 +153,7 @@ def test_equal_delays_are_one_late_measurement():
     assert d.growth is not None and list(d.growth.errors) == ["", "mocap_delay"]
     before, after = (error[-1] for error in d.growth.errors.values())
     assert (before, after) == (d.gap["analytic"].before, d.gap["analytic"].after)  # of the table
-    assert d.growth.horizon[-1] == d.gap["analytic"].horizon
+    assert d.growth.horizon[-1] == pytest.approx(1.0)
     assert d.apply(VEHICLE) == d.corrected
 
 
@@ -313,11 +312,6 @@ def test_what_differs_between_flights_is_not_named():
     assert not {"thrust_scale", "mass", "thrust_bias"} & {e.name for e in d.effects}
 
 
-def test_spread_between_flights():
-    assert dersimonian_laird(np.array([1.0, 1.1, 0.9]), np.full(3, 0.1)) == pytest.approx(0.0, abs=1e-6)
-    assert dersimonian_laird(np.array([1.0, 2.0, 3.0]), np.full(3, 0.1)) == pytest.approx(1.0, rel=0.02)
-
-
 def test_what_is_known_beforehand_holds_a_fit():
     """Wind of 0.5 m/s in one flight: a narrow prior holds it at nothing, a wide one leaves it free."""
     log = flights({"wind": {"x": 0.5, "y": 0.0}}, count=1, seed=9)
@@ -371,8 +365,7 @@ def test_identification_recovers_the_attitude_loop():
         0.6 * VEHICLE.attitude_time_constant, rel=0.05
     )
     assert found["thrust gain"].ci95[0] < 0.9 < found["thrust gain"].ci95[1]
-    assert r.fit["roll"]["after"] > r.fit["roll"]["before"]
-    assert r.fit["z"]["after"] > 90
+    assert r.ahead["after"] < 0.1 * r.ahead["before"]
 
 
 @pytest.fixture(scope="module")

@@ -20,7 +20,7 @@ from inclined_landing.eval.gap.model.columns import Candidates
 from inclined_landing.eval.gap.model.reference import VehiclePosterior
 from inclined_landing.eval.gap.plan.reading import PlanInput
 from inclined_landing.eval.gap.report import files, words
-from inclined_landing.eval.gap.report.page import Track, figures, page, probability_rows, show
+from inclined_landing.eval.gap.report.page import Track, figures, page, show
 from inclined_landing.eval.gap.result import (
     Dependence,
     Diagnosis,
@@ -32,7 +32,6 @@ from inclined_landing.eval.gap.result import (
     NamedEffect,
     PlantGap,
     ReferenceErrors,
-    RegimeError,
     ResidualAnalysis,
     ScoredSet,
     cost_beyond_doubt,
@@ -50,9 +49,8 @@ SCALE, TRIM, WIND = {"scale": 0.88}, {"roll": 0.02, "pitch": -0.01}, {"x": 0.1, 
 def estimate(effect, name, value):
     p = LIBRARY[effect].parameter(name)
     half = 0.1 * abs(value - p.neutral)
-    per_flight = (value, value + half, float("nan"))
     ci = (value - half, value + half)
-    return Estimate(value, p.unit, ci, p.neutral, p.bounds, False, per_flight, 0.0)
+    return Estimate(value, p.unit, ci, p.neutral, p.bounds, False)
 
 
 def named(name, values, gain=0.5, *alike):
@@ -67,7 +65,7 @@ def example(verdict="effects"):
     if verdict != "nothing":
         said = (named("thrust_scale", SCALE, 0.8, "mass"), named("attitude_trim", TRIM, 0.1))
     moved = (0.21, (0.1, 0.3))
-    left = Dependence("z", "place", 0.3, "m/s2", 0.4, 9.0, *moved, "position z")
+    left = Dependence("z", "place", *moved)
     scored = {
         "nothing": (ScoredSet((), 0.9, {}, {}), ScoredSet(("wind",), 0.1, {"wind": WIND}, {})),
         "effects": (
@@ -83,20 +81,15 @@ def example(verdict="effects"):
     d = Diagnosis(
         effects=said,
         corrected=effects.apply(load_vehicle(), {n: v for e in said for n, v in e.fitted.items()}),
-        where=tuple(
-            RegimeError(r, c, 1.0, 0.1, 0.05, "m/s2" if c == "z" else "rad", 12)
-            for r in ("hover", "all")
-            for c in ("z", "roll")
-        ),
         sets=scored["nothing" if verdict == "nothing" else "effects"],
         disturbance={
             "z": Disturbance(0.001, 0.3, (0.2, 0.4), 0.25, (0.1, 0.4), "m/s2"),
             "roll": Disturbance(0.005, 0.0, (0.0, 0.0), 0.3, (0.3, 0.3), "rad/s2"),
         },
-        residual=ResidualAnalysis(0.002, {"z": 0.2}, (left,) if verdict == "unknown" else (), after),
+        residual=ResidualAnalysis(0.002, (left,) if verdict == "unknown" else (), after),
         gap={
-            "analytic": PlantGap(0.487, after, 0.01, 30, 1.0),
-            "mujoco": PlantGap(0.486, after + 0.001, 0.01, 30, 1.0),
+            "analytic": PlantGap(0.487, after, 0.01, 30),
+            "mujoco": PlantGap(0.486, after + 0.001, 0.01, 30),
         },
         platform=True,
         flights=FLIGHTS,
@@ -213,10 +206,10 @@ def test_unknown_stands_beside_names_where_much_repeats():
     own = repeating(0.09, 0.1, reference=0.105)  # effects of less than 9 cm / sqrt(1/2) are in doubt
     assert cost_beyond_doubt(own.residual, own.ahead, own.reference) == pytest.approx(0.127, abs=5e-4)
     assert cost_beyond_doubt(own.residual, own.ahead, None) == np.inf
-    past = dataclasses.replace(one, channel="roll", against="roll command 0.25 s ago", displacement=0.05)
+    past = dataclasses.replace(one, channel="roll", on="commands", displacement=0.05)
     residual = dataclasses.replace(d.residual, depends_on=(past,), error=0.1)
     text = words.how_much(dataclasses.replace(d, residual=residual))
-    assert "5.0 cm repeats from flight to flight: in roll, depending on roll command 0.25 s ago." in text
+    assert "5.0 cm repeats from flight to flight: in roll, depending on commands." in text
 
 
 def test_the_posterior_keeps_the_errors_of_its_flights():
@@ -331,7 +324,7 @@ def test_several_lags_of_the_loops_are_pieces_of_one_change():
 
 def test_pieces_of_the_attitude_loops_are_one_name():
     parts = {"attitude_time_constant": {"scale": 0.3}, "second_order_attitude": {"rate_lag": 0.15}}
-    response = Estimate(0.24, "s", (0.22, 0.26), 0.2, (0.0, 2.0), False, (), 0.0)
+    response = Estimate(0.24, "s", (0.22, 0.26), 0.2, (0.0, 2.0), False)
     one = NamedEffect(*parts, 0.97, {"response": response}, 0.5, "Retune it.", parts=parts)
     one = dataclasses.replace(one, members=tuple(parts))
     assert one.sure and one.fitted == parts and words.title(one) == "attitude loops"
@@ -444,15 +437,15 @@ def test_the_page_stands_alone(verdict, track):
     assert not re.search(r"(src|href)=\"(?!data:)", text) and "nan" not in text.lower().split("base64")[0]
     assert text.count("data:image/png") == 1
     assert "17 %" in text if d.effects else "10 %" in text  # the second set
-    repeats = "21 cm repeats from flight to flight: in z, depending on position z"
+    repeats = "21 cm repeats from flight to flight: in z, depending on place"
     assert (repeats in text) == (verdict == "unknown")
 
 
 def test_a_diagnosis_without_anything_to_draw_still_makes_a_page():
     d = dataclasses.replace(
-        example("nothing"), where=(), sets=(), disturbance={}, gap={}, growth=None,
+        example("nothing"), sets=(), disturbance={}, gap={}, growth=None,
         heldout=FLIGHTS,
-        residual=ResidualAnalysis(1.0, {}, ()),
+        residual=ResidualAnalysis(1.0, ()),
     )  # fmt: skip
     assert "a fit to the others" in page(d, None, versions={})
 
@@ -471,8 +464,6 @@ def test_every_view_shows_the_same_probabilities_and_sizes(capsys):
     for name in ("thrust_scale", "mass", "attitude_trim"):
         marginal = sum(one["probability"] for one in record["sets"] if name in one["effects"])
         assert d.probability(name) == plan_input.probabilities[name] == pytest.approx(marginal)
-        rows = dict(probability_rows(d))
-        assert rows[words.label(name)] == words.probability(d.probability(name))
     for one in seen:
         for name in ("thrust_scale", "mass"):
             shown = set(re.findall(rf"{words.label(name)} \((\d+) %\)", one))
@@ -548,7 +539,7 @@ def test_the_corrected_mjcf_loads_in_plain_mujoco(tmp_path):
 
 def test_the_json_has_the_promised_keys():
     record = json.loads(storage.to_json(example().to_json()))
-    promised = ("version", "verdict", "effects", "where", "gap", "residual")
+    promised = ("version", "verdict", "effects", "gap", "residual")
     assert set(promised) <= set(record)
     assert set(record["effects"][0]) >= {"name", "members", "parameters", "gain"}
     assert set(record["effects"][0]["parameters"]["scale"]) >= {"value", "unit", "ci95"}
@@ -558,5 +549,4 @@ def test_the_json_has_the_promised_keys():
         and record["disturbance"]["z"]["size"] == 0.3
         and record["platform"]
     )
-    assert set(record["where"][0]) >= {"regime", "channel", "before", "after", "floor", "unit"}
     assert set(record["gap"]["mujoco"]) >= {"before", "after", "floor"}
