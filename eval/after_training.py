@@ -14,9 +14,8 @@ from inclined_landing.envs.shared.tables import say
 from inclined_landing.envs.tasks import Task
 from inclined_landing.envs.tasks.landing import LandingConditions
 from inclined_landing.eval.base.options import FITTED, Look
-from inclined_landing.eval.pictures.film import film
 from inclined_landing.eval.pictures.flights import fly_from
-from inclined_landing.eval.pictures.frames import renderer_for, strobe, write_picture, write_videos
+from inclined_landing.eval.pictures.frames import film, renderer_for, strobe, write_picture, write_videos
 from inclined_landing.eval.pictures.starts import usual_starts
 from inclined_landing.eval.pictures.to_rest import to_rest
 from inclined_landing.eval.study import groups, motor_cut, moving

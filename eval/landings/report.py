@@ -28,7 +28,6 @@ _OUTCOMES = (
     "edge in contact, or still moves in contact at the end; it bounces off if it leaves over the edge "
     "through the air, and misses if the slab is not touched from above"
 )
-_ODDS = "log odds: standardised coefficients of a logistic regression of rest on all parameters"
 _INDEX = (
     "shares of the variance: from one fit of a sum of functions of a parameter each, so that together they "
     "are at most 100 %; the rest is interactions and chance; negative where a parameter counteracts another "
@@ -57,13 +56,6 @@ def _index(name: str, title: str) -> Measure:
 
 
 SENSITIVITIES = (
-    Measure(
-        name="log_odds",
-        title="log odds per s.d.",
-        statistic=share,
-        cell=lambda row, *_: f"{row['value']:+z.2f}",
-        note=_ODDS,
-    ),
     _index("rests", "variance of rest"),
     _index("peak_force", "peak force"),
     _index("slide_distance", "slide distance"),
@@ -80,9 +72,9 @@ class Sensitivities(View):
     def rows(self, landings: pd.DataFrame) -> Iterator[dict[str, Any]]:
         """Yield a row for each parameter and measure."""
         parameters = {name: landings[name].to_numpy() for name in self.varied}
-        names = [m.name.removeprefix("index_") for m in SENSITIVITIES[2:]]
-        outputs = {name: landings[name].to_numpy() for name in names}
-        for row in sensitivity.rows(parameters, outputs, landings["rests"].to_numpy()):
+        names = [m.name.removeprefix("index_") for m in SENSITIVITIES]
+        outputs = {name: landings[name].to_numpy(float) for name in names}
+        for row in sensitivity.rows(parameters, outputs):
             yield row | {"unit": "1", "flights": len(landings)}
 
 
@@ -178,11 +170,11 @@ def _remarks(study: LandingStudy, results: Results) -> list[str]:
         if row["count"]:
             parts.append(f"{measure.title} {measure.text(row).replace(' [', ' % [')}")
     said = [f"Of {study.total} landings: {', '.join(parts)} (95 % Wilson intervals)."]
-    known, odds = known_parameters(), {r["parameter"]: r["value"] or 0 for r in results.all("log_odds")}
-    # (index, label, does more of it help) of the parameters, the strongest first
+    known, landings = known_parameters(), results.flights
     rows = [(row["value"] or 0.0, row["parameter"]) for row in results.all("index_rests")]
+    helps = {name: "more" if landings[name].corr(landings["rests"]) > 0 else "less" for _, name in rows}
     names = [
-        f"{known[name].label} {100 * index:.0f} % ({'more' if odds[name] > 0 else 'less'} of it helps)"
+        f"{known[name].label} {100 * index:.0f} % ({helps[name]} of it helps)"
         for index, name in sorted(rows, key=lambda row: -row[0])
         if index >= _MATTERS
     ]

@@ -6,31 +6,21 @@ from collections.abc import Iterator, Sequence
 from typing import Any
 
 import numpy as np
-from scipy import optimize
 from threadpoolctl import threadpool_limits
 
 _BINS = 20  # of a parameter, at most; one of no more values has a bin for each
 _LANDINGS = 10  # for each bin, at least
 _BLOCKS = 20  # of landings that the jackknife leaves out in turn
 _RIDGE = 1e-6  # landings; tells parts of collinear parameters apart, evenly
-_PENALTY = 1e-3  # of the logistic fit; keeps coefficients finite where the classes separate
 
 
-def rows(
-    parameters: dict[str, np.ndarray], outputs: dict[str, np.ndarray], rests: np.ndarray
-) -> Iterator[dict[str, Any]]:
-    """Yield rows for each parameter (n,): its log odds of resting, and its share of each output's variance.
+def rows(parameters: dict[str, np.ndarray], outputs: dict[str, np.ndarray]) -> Iterator[dict[str, Any]]:
+    """Yield a row for each parameter (n,) and output (n,): its share of the output's variance.
 
-    `log_odds`: coefficient of a logistic regression of `rests` (n,) bool on all parameters,
-    standardised: change of the log odds for one standard deviation of the parameter.
-    `index_*`: for `rests` and each output (n,), see `variance_shares`; NaN outputs are omitted.
+    NaN of an output are omitted. See `variance_shares`.
     """
-    odds = _logistic(parameters, rests)
-    targets = {"rests": rests.astype(float)} | outputs
-    shares = {target: variance_shares(list(parameters.values()), y) for target, y in targets.items()}
+    shares = {target: variance_shares(list(parameters.values()), y) for target, y in outputs.items()}
     for k, name in enumerate(parameters):
-        about = {"parameter": name, "measure": "log_odds", "statistic": "logistic regression"}
-        yield about | {"value": odds[k]}
         for target, found in shares.items():
             about = {"parameter": name, "measure": f"index_{target}", "statistic": "share of the variance"}
             known = {} if found is None else dict(zip(("value", "low", "high"), map(float, found[k])))
@@ -85,23 +75,3 @@ def _additive_shares(gram: np.ndarray, owner: np.ndarray) -> np.ndarray:
     parts = np.bincount(owner[1:], weights[1:] * (b[1:] - mean * a[0, 1:]))
     shares, free = parts / (gram[-1, -1] - n * mean**2), np.bincount(owner[1:]) - 1.0
     return shares - (1.0 - shares.sum()) * free / (n - free.sum() - 1.0)
-
-
-def _logistic(parameters: dict[str, np.ndarray], rests: np.ndarray) -> list[float | None]:
-    """Return the standardised coefficients; null when all or no landings rest."""
-    if not parameters or rests.all() or not rests.any():
-        return [None] * len(parameters)
-    x = np.column_stack(list(parameters.values()))
-    x = np.column_stack([np.ones(len(x)), (x - x.mean(axis=0)) / x.std(axis=0)])
-    sign = np.where(rests, 1.0, -1.0)
-
-    def loss(w):
-        margin = sign * (x @ w)
-        pull = -sign / (1.0 + np.exp(np.clip(margin, -500, 500)))
-        value = np.logaddexp(0.0, -margin).mean() + 0.5 * _PENALTY * (w[1:] ** 2).sum()
-        gradient = x.T @ pull / len(x)
-        gradient[1:] += _PENALTY * w[1:]
-        return value, gradient
-
-    fit = optimize.minimize(loss, np.zeros(x.shape[1]), jac=True, method="L-BFGS-B")
-    return [float(w) for w in fit.x[1:]]

@@ -24,9 +24,8 @@ def command(
     """
     from inclined_landing.envs.shared.tables import say
     from inclined_landing.eval.base.style import save_figure
-    from inclined_landing.eval.pictures.learning import final_scores, learning_curves
+    from inclined_landing.eval.pictures.learning import learning_curves
 
     storage.check_file(out)
     save_figure(learning_curves(runs), out)
-    scores = final_scores(runs)
-    say(*scores[:-1], f"{scores[-1]} The curves are in {out}.")
+    say(f"The learning curves are in {out}.")

@@ -5,8 +5,8 @@ from __future__ import annotations
 import contextlib
 import dataclasses
 import itertools
-import pathlib
 from collections.abc import Callable, Iterator, Mapping, Sequence
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -25,6 +25,7 @@ from inclined_landing.envs.rendering import (
 )
 from inclined_landing.envs.rendering.camera import nearest_position
 from inclined_landing.envs.rendering.renderer import SceneRenderer
+from inclined_landing.envs.shared.progress import Tick, stages
 from inclined_landing.eval.base.options import FITTED, Look
 from inclined_landing.eval.pictures.labels import (
     MOTORS_CUT,
@@ -42,6 +43,7 @@ from inclined_landing.models.base import storage
 from inclined_landing.models.base.errors import UserError
 
 FPS = 50.0  # one frame for every control step
+_REST = 1.0  # s that the last frame of a flight stays in a film
 _ENDED = "ffmpeg was killed; is the disk full, the file too large (ulimit -f), or memory short?"
 _CODECS = {".mp4": "h264", ".gif": "gif"}
 _QUICK = ("-preset", "veryfast")  # half the time of H.264's usual search
@@ -177,14 +179,14 @@ def strobe(flight: Track, renderer: SceneRenderer) -> np.ndarray:
     return renderer.render(pose_at(flight, -1), trail=flight.state, trail_colour=colours, ghosts=ghosts)
 
 
-def write_picture(path: pathlib.Path, picture: np.ndarray) -> pathlib.Path:
+def write_picture(path: Path, picture: np.ndarray) -> Path:
     """Write a picture (h, w, 3) uint8 to a .png file, atomically; return its path."""
     with storage.made(path.parent), storage.atomic(path) as part:
         Image.fromarray(picture).save(part)
     return path
 
 
-def write_videos(every: Mapping[pathlib.Path, int], frames, fps: float = FPS) -> None:
+def write_videos(every: Mapping[Path, int], frames, fps: float = FPS) -> None:
     """Write frames (h, w, 3) uint8 to .mp4 or .gif files of one duration, each with every n-th frame.
 
     A file gets its name when it is complete. Raises UserError for any other suffix, if there are no frames,
@@ -209,8 +211,43 @@ def write_videos(every: Mapping[pathlib.Path, int], frames, fps: float = FPS) ->
                     add(frame)
 
 
+def film(
+    flights: Sequence[Flight | Mission], renderer: SceneRenderer, sampled: float, slow: float
+) -> tuple[Iterator[np.ndarray], int, float]:
+    """Return the frames of one vehicle's flights in sequence, their number, and the video's rate [1/s].
+
+    sampled: frames per second of flight. The last frame of each flight is held for a moment.
+    """
+    rest = round(_REST * sampled / slow)
+
+    def frames():
+        for flight in flights:
+            for frame in render_flight(flight, renderer, fps=sampled, slow=slow):
+                yield frame
+            yield from itertools.repeat(frame, rest)
+
+    total = sum(round(flight.t[-1] * sampled) + 1 + rest for flight in flights)
+    return frames(), total, sampled / slow
+
+
+def write_film(files: Mapping[Path, int], frames: Iterator[np.ndarray], total: int, rate: float) -> None:
+    """Write the videos, each with every n-th frame, and show a progress bar on stderr."""
+    names = " and ".join(str(path) for path in files)
+
+    def ticking(tick: Tick) -> Iterator[np.ndarray]:
+        for frame in frames:
+            tick(names)
+            yield frame
+
+    with stages(total, "frames") as tick:
+        try:
+            write_videos(files, ticking(tick), fps=rate)
+        except OSError as error:
+            raise UserError(f"cannot write {names}: {(error.strerror or str(error)).lower()}") from error
+
+
 @contextlib.contextmanager
-def _encoded(path: pathlib.Path, part: pathlib.Path, shape, fps: float) -> Iterator[Callable[[Any], None]]:
+def _encoded(path: Path, part: Path, shape, fps: float) -> Iterator[Callable[[Any], None]]:
     """Yield a function that adds a frame to the video that is written to `part`, the later `path`."""
     import imageio_ffmpeg
     import mediapy
@@ -236,7 +273,7 @@ def _encoded(path: pathlib.Path, part: pathlib.Path, shape, fps: float) -> Itera
 
 
 @contextlib.contextmanager
-def _failures(path: pathlib.Path, part: pathlib.Path) -> Iterator[None]:
+def _failures(path: Path, part: Path) -> Iterator[None]:
     """Raise UserError if ffmpeg is missing, was terminated, or cannot write `part`."""
     try:
         yield

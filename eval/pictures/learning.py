@@ -1,4 +1,4 @@
-"""Learning curves of training runs of one task, and their final scores."""
+"""Learning curves of training runs of one task."""
 
 from __future__ import annotations
 
@@ -186,28 +186,6 @@ def _curriculum_end(learning: pd.DataFrame) -> float:
     rows = learning[["steps", "level"]].dropna().to_numpy(float)
     moving = np.flatnonzero(rows[:, 1] != rows[-1:, 1])
     return float(rows[moving[-1] + 1, 0]) if len(moving) else 0.0
-
-
-def final_scores(runs: Sequence[str | Path]) -> list[str]:
-    """Return a sentence for each task of the runs: the score of the last evaluation, median and range."""
-    loaded = [_read_run(folder) for folder in runs]
-    found = []
-    for task in dict.fromkeys(run.task for run in loaded):
-        tables = [run.evaluations for run in loaded if run.task == task]
-        curve = _score_curve(tables)
-        count = f"{len(tables)} run{'s' * (len(tables) != 1)} of {task}"
-        parts = []
-        for column, name in _score_columns(curve, tables).items():
-            ends = [curve.factor * x.iloc[-1] for table in tables if len(x := table[column].dropna())]
-            if ends:
-                spread = f" ({min(ends):.3g} to {max(ends):.3g})" if len(ends) > 1 else ""
-                parts.append(f"{np.median(ends):.3g}{spread}{f' with the {name}' * bool(name)}")
-        found.append(
-            f"{count}; {curve.label} at the end: {' and '.join(parts)}."
-            if parts
-            else f"{count}, not evaluated yet."
-        )
-    return found
 
 
 def _score_columns(curve: Curve, tables: Sequence[pd.DataFrame]) -> dict[str, str]:

@@ -58,14 +58,13 @@ def command(
             simulated in MuJoCo, until the vehicle is at rest.
     """
     from inclined_landing.envs.flights import record_flights
-    from inclined_landing.eval.pictures import film
     from inclined_landing.eval.pictures.flights import (
         choose_starts,
         continue_flights,
         say_outcomes,
         start_points,
     )
-    from inclined_landing.eval.pictures.frames import FPS, checked_look, renderer_for
+    from inclined_landing.eval.pictures.frames import FPS, checked_look, film, renderer_for, write_film
 
     storage.check_file(out)
     if out.suffix.lower() not in (".mp4", ".gif"):
@@ -80,9 +79,9 @@ def command(
     sampled = min(FPS, most * slow)  # there are no more states
     files = {out: 1}
     with renderer_for(flights, look) as renderer:
-        frames, total, rate = film.film(flights, renderer, sampled, slow)
+        frames, total, rate = film(flights, renderer, sampled, slow)
         if gif and out.suffix.lower() != ".gif":
             files[out.with_suffix(".gif")] = math.ceil(rate / GIF_FPS - 1e-9)
-        film.write(files, frames, total, rate)
+        write_film(files, frames, total, rate)
     named = {f"flight {k + 1}": flight for k, flight in enumerate(flights)}
     say_outcomes(named, f"the video is {' and '.join(map(str, files))}")

@@ -27,7 +27,7 @@ from inclined_landing.envs.randomise import read_ranges
 from inclined_landing.envs.tasks import make_task
 from inclined_landing.envs.tasks.base import hover_states
 from inclined_landing.eval import cli
-from inclined_landing.eval.landings.design import design
+from inclined_landing.eval.landings.run import design
 from inclined_landing.eval.landings.study import read_study
 from inclined_landing.eval.logs import FlightLog, limits, motion, read_log
 from inclined_landing.models.parameters import load_vehicle

@@ -38,7 +38,7 @@ LONG = {
     "landings {place}/study.toml --out {place}/out": r"The page is .*index.html\.",
     f"video landing {SMALL} --out {{place}}/a.mp4": r"1 of 1 flight succeeded; .*a\.mp4\.",
     "benchmark": r"This machine simulates [\d,]+ control steps per second .*\.",
-    "curves {place}/run --out {place}/a.png": r"1 run of setpoint; .* at the end: .*a\.png\.",
+    "curves {place}/run --out {place}/a.png": r"The learning curves are in .*a\.png\.",
     "demo --out {place}/out": rf"goal box in 53 of 53 flights {SHARE}; open .*html in .*\.",
     "fly --simulated --yes --out {place}/out": r"reached the goal box .* slope; the logs are in .*out\.",
     "gap {place}/20/fit/*.csv --out {place}/out": r"Thrust over mass .*rotor drag.*report.html\.",

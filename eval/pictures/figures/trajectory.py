@@ -32,10 +32,9 @@ _MARGIN = 0.27  # m around the flight
 _LOWEST = 0.85  # m; the scene is cut off here unless the flight goes lower
 
 
-def trajectory_figure(flight: Flight, *, copies: int | None = None) -> Figure:
+def trajectory_figure(flight: Flight) -> Figure:
     """Return a figure of one flight: copies of the vehicle along its path, PWM and attitude over time.
 
-    copies: how many vehicles are drawn at most (default: 11 landing, 8 set-point).
     Raises UserError for a flight with fewer than two samples or states that are not finite, and for one over
     a moving platform.
     """
@@ -44,7 +43,7 @@ def trajectory_figure(flight: Flight, *, copies: int | None = None) -> Figure:
     if flight.motion is not None:
         raise UserError("a trajectory figure cannot show a moving platform; use landing-eval picture")
     vehicle, landing = flight.task.vehicle, flight.inclination is not None
-    chosen = select_copies(flight.state, copies or (11 if landing else 8), _SPACING, _TURN)
+    chosen = select_copies(flight.state, 11 if landing else 8, _SPACING, _TURN)
     gap, foot = 0.33, 0.50
     middle = foot + _PITCH + gap
     scene = middle + _PWM + 0.74
