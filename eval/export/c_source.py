@@ -9,7 +9,7 @@ from pathlib import Path
 import numpy as np
 
 from inclined_landing.envs.policy import Policy
-from inclined_landing.eval.export.templates import render
+from inclined_landing.eval.base.page import environment
 from inclined_landing.eval.export.vectors import Vectors
 from inclined_landing.models.base import storage
 from inclined_landing.models.base.errors import UserError, shown
@@ -31,12 +31,11 @@ def write(folder: Path, policy: Policy, contract: dict, vectors: Vectors) -> Non
             "of the flash of a Crazyflie"
         )
     content = _template_values(contract, policy, vectors)
-    source = folder / "src"
-    source.mkdir()
-    for name in ("landing_policy.h", "landing_policy.c"):
-        storage.write_text(source / name, render(f"c/{name}.j2", **content))
-    storage.write_text(folder / "check.c", render("c/check.c.j2", **content))
-    storage.write_text(folder / "README.md", render("c/README.md.j2", **content))
+    templates = environment(__package__, keep_trailing_newline=True)
+    (folder / "src").mkdir()
+    for name in ("src/landing_policy.h", "src/landing_policy.c", "check.c"):
+        template = templates.get_template(f"c/{Path(name).name}.j2")
+        storage.write_text(folder / name, template.render(content))
 
 
 def _template_values(contract: dict, policy: Policy, vectors: Vectors) -> dict:
@@ -52,7 +51,6 @@ def _template_values(contract: dict, policy: Policy, vectors: Vectors) -> dict:
         "number": number,
         "stack": stack,
         "observation_names": [_comment_text(entry["name"]) for entry in contract["observation"]],
-        "period_ms": f"{1e3 * contract['control_period']:g}",
         "widest": widest,
         "blocks": _blocks(policy),
         "limit": number(0.0 if math.isinf(policy.limit) else policy.limit),
@@ -75,7 +73,8 @@ def _blocks(policy: Policy) -> list[tuple[str, str]]:
 
 def _comment_text(name: str) -> str:
     """Return a name escaped for a C comment."""
-    return shown(name).replace("*/", "* /").replace("/*", "/ *").replace("?", "")
+    # Without "?", there are no trigraphs, one of which is a backslash that continues the line.
+    return shown(name).replace("?", "").replace("*/", "* /").replace("/*", "/ *")
 
 
 def number(value: float) -> str:

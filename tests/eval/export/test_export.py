@@ -16,19 +16,17 @@ import numpy as np
 import onnxruntime
 import pytest
 from hypothesis import strategies as st
-from markdown_it import MarkdownIt
 
 from inclined_landing.envs.flights import record_flights
 from inclined_landing.envs.history import History
-from inclined_landing.envs.policy import Policy, load_policy, locate
+from inclined_landing.envs.policy import Policy, load_policy
 from inclined_landing.envs.tasks import Start, Task, make_task
 from inclined_landing.envs.tasks.base import COLUMNS
 from inclined_landing.eval import cli
 from inclined_landing.eval.export import c_source, contract, onnx_file, vectors
 from inclined_landing.eval.export.command import FORMATS, write
-from inclined_landing.eval.export.templates import LONGEST
 from inclined_landing.models.base import storage
-from inclined_landing.models.base.errors import UserError, shown
+from inclined_landing.models.base.errors import UserError
 from inclined_landing.models.parameters import load_vehicle
 from tests.eval.export import compiled
 from tests.policy_files import Spaces, pilot, restamp, written
@@ -264,35 +262,20 @@ def test_the_contract_alone_tells_what_the_vectors_hold(exported, name):
         np.testing.assert_allclose(table["observations"][:, k], states[word], rtol=1e-6, atol=1e-6)
 
 
-HOSTILE = (
-    "<img src=x onerror=alert(1)>|[a](b:c)`<b>`*b* _b_ ~~b~~ &lt; $x$ \\| # ![i](j) \"'\n# x\n\n| y |\u202e"
-)
-READER = MarkdownIt("commonmark", {"html": True}).enable(["table", "strikethrough"])
+# What would end or begin a C comment, be a trigraph for a backslash, or continue a line.
+HOSTILE = "harmless */ int x; /* y *?/ int z; ??/", "a\nb */ int x; \u202e", "*??/\\"
 
 
-def markdown_of(path):
-    """Types of blocks and of what is in their lines, and the text of each block."""
-    tokens = READER.parse(path.read_text("utf-8"))
-    children = [child for token in tokens for child in token.children or ()]
-    types = [token.type for token in tokens], {child.type for child in children} - {"text_special"}
-    return types, ["".join(child.content for child in token.children or ()) for token in tokens]
-
-
-def test_names_and_metadata_do_not_become_markdown_or_html(tmp_path):
-    """Whatever the file is called and the metadata say: the page of a harmless one, with other words."""
-    pages = {}
-    for k, words in enumerate(("harmless", HOSTILE)):
-        path = tmp_path / f"{words.replace('/', '')}.zip"
-        shutil.copyfile(locate("landing"), path)
-        metadata = load_policy(str(path)).metadata
-        restamp(path, metadata | {"command": words, "plant": words, "curriculum": {words: 1}, "seed": words})
-        policy = contract.load(str(path))
-        write(policy, "c", tmp_path / str(k))
-        pages[k] = [markdown_of(tmp_path / str(k) / name) for name in ("README.md",)]
-        for _, lines in pages[k]:
-            assert f"Policy {shown(policy.name, LONGEST)}" in "\n".join(lines)
-    for (plain, before), (evil, after) in zip(pages[0], pages[1]):
-        assert evil == plain and "html_inline" not in plain[1] and len(before) == len(after)
+@NO_COMPILER
+@pytest.mark.parametrize("name", HOSTILE)
+def test_a_policy_s_name_does_not_leave_its_comment(tmp_path, name):
+    terms, tested = contract.describe(load_policy("landing")), vectors.record(load_policy("landing"))
+    terms["policy"]["name"] = name
+    c_source.write(tmp_path, contract.single(load_policy("landing")), terms, tested)
+    sources = tmp_path / "check.c", tmp_path / "src/landing_policy.c"
+    compiled.build(sources, tmp_path / "check", "-trigraphs", f"-I{tmp_path / 'src'}")
+    for line in (tmp_path / "src/landing_policy.h").read_text().splitlines()[:1]:
+        assert line.startswith("/* Policy ") and "*/" not in line and not line.endswith("\\")
 
 
 def test_the_contract_is_the_task_the_metadata_and_the_vehicle():
@@ -383,7 +366,7 @@ def test_networks_of_any_size_and_kind(policy, tmp_path_factory):
 
 
 def test_the_command_writes_a_whole_folder(tmp_path, capsys):
-    for format, files in {"c": {"README.md", "check.c", "src"}, "onnx": {"policy.onnx"}}.items():
+    for format, files in {"c": {"check.c", "src"}, "onnx": {"policy.onnx"}}.items():
         out = tmp_path / format
         assert cli.main(["export", "landing", "--format", format, "--out", str(out)]) == 0
         both = {"contract.json", "vectors.json"}
