@@ -5,7 +5,6 @@ from __future__ import annotations
 import base64
 import io
 from collections.abc import Mapping, Sequence
-from importlib import resources
 from typing import TYPE_CHECKING, Any
 
 import jinja2
@@ -19,15 +18,9 @@ if TYPE_CHECKING:
 def environment(package: str, **options) -> jinja2.Environment:
     """Return the environment of a package's templates, which may extend or import those of this package."""
 
-    def source(name: str) -> str | None:
-        for owner in (package, __package__):
-            file = resources.files(owner).joinpath(name)
-            if file.is_file():
-                return file.read_text("utf-8")
-        return None
-
+    owners = (package, __package__)
     return jinja2.Environment(
-        loader=jinja2.FunctionLoader(source),
+        loader=jinja2.ChoiceLoader([jinja2.PackageLoader(owner, "") for owner in owners]),
         trim_blocks=True,
         lstrip_blocks=True,
         undefined=jinja2.StrictUndefined,
