@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
 from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 
@@ -12,7 +12,6 @@ from inclined_landing.envs.shared import progress, runs
 from inclined_landing.envs.shared.pool import in_fork
 from inclined_landing.envs.shared.tables import say
 from inclined_landing.envs.tasks import Task
-from inclined_landing.envs.tasks.landing import LandingConditions
 from inclined_landing.eval.base.options import FITTED, Look
 from inclined_landing.eval.pictures.flights import fly_from
 from inclined_landing.eval.pictures.frames import film, renderer_for, strobe, write_picture, write_videos
@@ -27,16 +26,15 @@ from inclined_landing.models.base import storage
 from inclined_landing.models.base.errors import UserError
 from inclined_landing.models.parameters import load_vehicle
 
-CurriculumStages = Sequence[tuple[str, LandingConditions]]  # titles and conditions
 _LOOK = Look(camera=FITTED, width=960, height=540)  # of video and picture
 _FPS = 25.0  # half as many as `landing-eval video` shows
 _LANDING_SCALES = (1.0, 1.05, 0.95)  # of the thrust, in the table of a landing policy
 
 
-def report(folder: Path, metrics: dict, vehicle: Path | None, curriculum: CurriculumStages) -> None:
+def report(folder: Path, metrics: dict, vehicle: Path | None) -> None:
     """Write the table of `final.zip`, figures, a picture and a video of one flight into the run folder.
 
-    vehicle: the run's vehicle file, if it has one. curriculum: the stages of its curriculum.
+    vehicle: the run's vehicle file, if it has one.
 
     The flights of the table have no training aids; those of landings start from the frozen grid, which
     training never uses, in the hybrid plant. One number for each condition is added to metrics.json. All
@@ -49,7 +47,7 @@ def report(folder: Path, metrics: dict, vehicle: Path | None, curriculum: Curric
     final = load(folder / "final.zip")
     filmed = in_fork(_film, final, folder)  # a process renders, `filmed()` waits for it
     with ThreadPoolExecutor(1) as pool:  # while the engine flies for the table
-        figures = pool.submit(_draw, folder, final, curriculum)
+        figures = pool.submit(_draw, folder, final)
         name, study = _study(final, metrics, load)
         results = run([study])
         with progress.stages() as tick:
@@ -65,11 +63,19 @@ def report(folder: Path, metrics: dict, vehicle: Path | None, curriculum: Curric
     say(f"The report of this run is in {folder}.")
 
 
-def _draw(folder: Path, policy: Policy, curriculum: CurriculumStages) -> list[Path]:
-    """Return the files of the figures; matplotlib is imported while the first flights are simulated."""
-    from inclined_landing.eval.pictures.training import draw
+def _draw(folder: Path, policy: Policy) -> list[Path]:
+    """Write learning curves and figures of flights from the first usual starts, and return their files."""
+    # Here, so that matplotlib is imported while the first flights are simulated.
+    from inclined_landing.eval.base.style import save_figure
+    from inclined_landing.eval.pictures import figure
+    from inclined_landing.eval.pictures.learning import learning_curves
 
-    return draw(folder, policy, curriculum)
+    task = policy.task
+    files = [save_figure(learning_curves([folder]), folder / "learning_curves.png")]
+    flights = fly_from(policy, usual_starts(task)[: figure.FIGURES], "mujoco", task.judged_steps)
+    for name, flight in figure.names(flights).items():
+        files += figure.draw(flight, folder, name, (".png",))  # a PDF embeds its fonts, which takes longer
+    return files
 
 
 def _film(policy: Policy, folder: Path) -> list[Path]:

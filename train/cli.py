@@ -95,4 +95,4 @@ def _report(run: Run, metrics: dict) -> None:
         print(f"landing-train: no report, because {error}{again}", file=sys.stderr)
         return
     vehicle = run.folder / VEHICLE if run.config.vehicle is not None else None
-    report(run.folder, metrics, vehicle, run.learner.curriculum.stages())
+    report(run.folder, metrics, vehicle)

@@ -7,7 +7,6 @@ per rollout, and it is logged and checkpointed through `state` and `restore`. Th
 
 from __future__ import annotations
 
-import copy
 import dataclasses
 from collections import deque
 from collections.abc import Callable
@@ -77,13 +76,6 @@ def initial_gamma(gamma: float | str) -> float:
     return rising_gamma(0) if gamma == RISING else float(gamma)
 
 
-class Milestone(NamedTuple):
-    """A point on the way of a curriculum that its figure shows."""
-
-    title: str
-    attributes: dict[str, Any]  # of the curriculum there
-
-
 class Curriculum:
     """No curriculum: the task itself with constant discount and a learning rate that falls linearly to zero.
 
@@ -100,7 +92,6 @@ class Curriculum:
     averaging = 0.0  # weight of the average of past weights in the policy that is evaluated and saved
     least_noise = 0.0  # standard deviation below which PPO's exploration noise does not fall
     explored_at = 0  # environment steps after which that was last raised; 0: never
-    milestones: tuple[Milestone, ...] = (Milestone("the task", {}),)
 
     def __init__(self, gamma: float | str, the_task: Any = None):
         """gamma: a number, or RISING; the_task: conditions of training without a curriculum."""
@@ -112,15 +103,6 @@ class Curriculum:
     def stage(self) -> Any:
         """Return the present conditions before parts are omitted; None if the task has no conditions."""
         return self._the_task
-
-    def stages(self) -> list[tuple[str, Any]]:
-        """Return titles and conditions of several stages; none if the task has no conditions."""
-        found = []
-        for milestone in self.milestones:
-            other = copy.copy(self)
-            vars(other).update(milestone.attributes)
-            found.append((milestone.title, other.conditions()))
-        return [(title, conditions) for title, conditions in found if conditions is not None]
 
     def conditions(self) -> Any:
         """Return the conditions of the next episodes; None if the task has none."""
@@ -223,7 +205,6 @@ class AdaptiveCurriculum(Curriculum):
     """
 
     name = "adaptive"
-    milestones = tuple(Milestone(f"level {level:g}", {"level": level}) for level in (0.0, 0.25, 0.6, 1.0))
 
     def __init__(
         self,
@@ -408,12 +389,6 @@ class PaperCurriculum(Curriculum):
     """
 
     name = "paper"
-    milestones = (  # at the usual length of episodes
-        Milestone("0 k steps", {"episodes": 0, "tilting_episodes": 0, "steps": 0}),
-        Milestone("390 k steps", {"episodes": 5000, "tilting_episodes": 0, "steps": 390_000}),
-        Milestone("700 k steps", {"episodes": 9000, "tilting_episodes": 3000, "steps": 700_000}),
-        Milestone("3 M steps", {"episodes": 19_000, "tilting_episodes": 6000, "steps": 3_000_000}),
-    )
 
     def __init__(self):
         super().__init__(RISING)

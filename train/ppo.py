@@ -98,10 +98,7 @@ def build_model(config: TrainConfig, env: BatchVecEnv) -> PPO:
     torch.set_flush_denormal(True)
     torch.distributions.Distribution.set_default_validate_args(False)
     kind = FastPPO if config.update == "fast" else PPO
-    model = kind("MlpPolicy", env, seed=config.seed, **_arguments(config, env.env.task))
-    if config.threads == 1:
-        model.threads = 1
-    return model
+    return kind("MlpPolicy", env, seed=config.seed, **_arguments(config, env.env.task))
 
 
 def ppo_kwargs(task: Task) -> dict:

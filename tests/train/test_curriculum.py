@@ -368,8 +368,6 @@ def test_what_is_left_out_is_the_task_and_nothing_else_changes(name, part):
         assert c.level == whole.level and c.name == whole.name
         assert c.state() == whole.state() | {"_without": list(PARTS[part])}
         assert c.log() == whole.log() | {n: v for n, v in expected.items() if n in whole.log()}
-    for (title, mine), (other, own) in zip(c.stages(), whole.stages()):
-        assert title == other and mine == dataclasses.replace(own, **expected)
 
 
 @pytest.mark.parametrize("task, name, without", [

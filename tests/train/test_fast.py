@@ -18,8 +18,8 @@ from inclined_landing.envs.tasks import make_task
 from inclined_landing.envs.tasks.landing import LandingConditions
 from inclined_landing.models.base.errors import UserError
 from inclined_landing.models.plants import make_plant
-from inclined_landing.train.fast import kernels, layers, ppo
-from inclined_landing.train.fast.ppo import FastPPO, both
+from inclined_landing.train.fast import layers
+from inclined_landing.train.fast.ppo import FastPPO
 
 N, STEPS = 8, 100
 
@@ -201,33 +201,6 @@ def test_a_callback_stops_a_rollout():
     assert fast.num_timesteps == 5 * N
 
 
-def test_one_thread_or_two_change_no_bit(monkeypatch):
-    """Of a rollout whose values are computed in two parts, and of updates."""
-    made = []
-    monkeypatch.setattr(ppo, "loaded", lambda: False)
-    for threads in (1, 2):
-        made.append(model(FastPPO, n=16))
-        made[-1].threads = threads
-        made[-1].learn(3 * 16 * STEPS)
-    one, two = (weights(fast) for fast in made)
-    for name in one:
-        np.testing.assert_array_equal(one[name], two[name], err_msg=name)
-    np.testing.assert_array_equal(made[0].rollout_buffer.values, made[1].rollout_buffer.values)
-
-
-@pytest.mark.parametrize("fails", [0, 1], ids=["interrupted here", "fails beside"])
-def test_a_thread_that_ends_early_leaves_none_waiting(fails):
-    counter = np.zeros(1, np.int64)
-
-    def work(k):
-        if k == fails:
-            raise KeyboardInterrupt
-        kernels._meet(counter, 2)
-
-    with pytest.raises(KeyboardInterrupt):
-        both(work, 2, let_go=lambda: counter.fill(kernels.NOBODY))
-
-
 def test_files_go_from_one_to_the_other(tmp_path):
     """What one has saved the other goes on with, moments of the optimizer included."""
     fast = model(FastPPO)
@@ -261,7 +234,7 @@ def test_making_saving_and_loading_one_loads_no_compiler(tmp_path):
     """torch._dynamo takes two seconds to import; the compiled update has no use for it."""
     code = """
 import sys, gymnasium
-from inclined_landing.train.fast.ppo import FastPPO, both
+from inclined_landing.train.fast.ppo import FastPPO
 made = FastPPO("MlpPolicy", gymnasium.make("MountainCarContinuous-v0"), n_steps=64, device="cpu")
 made.learn(64)
 made.save(sys.argv[1])

@@ -1,4 +1,4 @@
-"""Compiled PPO: its loss and Adam for the networks of `layers`, in one or two threads.
+"""Compiled PPO: its loss and Adam for the networks of `layers`.
 
 The loss is that of Stable-Baselines3: Schulman et al., Proximal Policy Optimization Algorithms, 2017, with
 advantages normalised in each minibatch, clipping of the global gradient norm, and Kingma and Ba's Adam.
@@ -14,10 +14,6 @@ from typing import NamedTuple
 
 import numba
 import numpy as np
-from llvmlite import ir
-from numba import types
-from numba.core import cgutils
-from numba.extending import intrinsic
 
 from inclined_landing.train.fast.layers import BLOCK, backward, compiled, forward, inlined, load, once
 
@@ -25,8 +21,6 @@ STATISTICS = ("policy_loss", "value_loss", "entropy", "kl", "clipped")  # of a m
 _POLICY_LOSS, _VALUE_LOSS, _ENTROPY, _KL, _CLIPPED = range(len(STATISTICS))
 _B, _0, _1 = np.uint64(BLOCK), np.uint64(0), np.uint64(1)
 _HALF_LOG_TWO_PI = 0.5 * math.log(2 * math.pi)
-NOBODY = 2**62  # in the counter: no thread is to be waited for
-_SPINS = 4000  # looks at the other core before it may work for somebody else
 
 
 class FixedNetwork(NamedTuple):
@@ -270,63 +264,10 @@ def _adam(learner, share, settings):
         w[k] -= size * mean[k] / (np.sqrt(square[k]) / root + small)
 
 
-@intrinsic
-def _arrive(typing, counter):
-    """Add one to counter[0] atomically."""
-
-    def generate(context, builder, signature, arguments):
-        array = context.make_array(signature.args[0])(context, builder, arguments[0])
-        builder.atomic_rmw("add", array.data, ir.Constant(ir.IntType(64), 1), "seq_cst")
-        return context.get_dummy_value()
-
-    return types.void(counter), generate
-
-
-@intrinsic
-def _arrived(typing, counter):
-    """Return counter[0] as all cores see it."""
-
-    def generate(context, builder, signature, arguments):
-        array = context.make_array(signature.args[0])(context, builder, arguments[0])
-        return builder.load_atomic(array.data, "seq_cst", 8)
-
-    return types.int64(counter), generate
-
-
-@intrinsic
-def _yield(typing):
-    """Yield the core to another thread."""
-
-    def generate(context, builder, signature, arguments):
-        kind = ir.FunctionType(ir.IntType(32), [])
-        builder.call(cgutils.get_or_insert_function(builder.module, kind, "sched_yield"), [])
-        return context.get_dummy_value()
-
-    return types.void(), generate
-
-
-@once
-def _meet(counter, arrivals):
-    """Add one to counter[0] and wait until it is `arrivals`."""
-    _arrive(counter)
-    spins = 0
-    while _arrived(counter) < arrivals:
-        spins += 1
-        if spins > _SPINS:
-            _yield()
-
-
 @compiled
-def update(
-    actor_part, critic_part, counter, norms, actor, critic, rollout, order, scaling, settings, statistics
-):
-    """Do the updates of every minibatch of every epoch, for the actor, the critic or both.
+def update(actor, critic, rollout, order, scaling, settings, statistics):
+    """Do the updates of every minibatch of every epoch.
 
-    Two threads may share the work, one for each network; they synchronise once per minibatch, to add the
-    squared norms of their gradients. In either case the same numbers are computed in the same order.
-
-    counter (1,) int64, initially 0, NOBODY if the other thread has failed.
-    norms (2, 2) float64, of even and odd minibatches.
     actor, critic: each a `LearningNetwork`.
     order: (epochs, N) uint64, the order of the samples.
     statistics: (minibatches, 5) float64, STATISTICS.
@@ -337,20 +278,14 @@ def update(
         rows = order[epoch]
         for first in range(_0, samples, settings.batch):
             last = min(first + settings.batch, samples)
-            now = norms[k % 2]
-            if actor_part:
-                _actor_gradient(actor, rollout, rows, first, last, scaling, settings, statistics[k])
-                now[0] = _square(actor.gradient) if settings.actor_learns else 0.0
-            if critic_part:
-                _critic_gradient(critic, rollout, rows, first, last, scaling, settings, statistics[k])
-                now[1] = _square(critic.gradient)
+            _actor_gradient(actor, rollout, rows, first, last, scaling, settings, statistics[k])
+            _critic_gradient(critic, rollout, rows, first, last, scaling, settings, statistics[k])
             k += 1
-            if not (actor_part and critic_part):
-                _meet(counter, 2 * k)
             # share = min(1, largest norm/(|g| + 1e-6))
-            share = settings.largest_norm / (math.sqrt(now[0] + now[1]) + 1e-6)
+            squares = _square(actor.gradient) if settings.actor_learns else 0.0
+            squares += _square(critic.gradient)
+            share = settings.largest_norm / (math.sqrt(squares) + 1e-6)
             share = np.float32(1.0 if share > 1.0 else share)
-            if actor_part and settings.actor_learns:
+            if settings.actor_learns:
                 _adam(actor, share, settings)
-            if critic_part:
-                _adam(critic, share, settings)
+            _adam(critic, share, settings)

@@ -8,12 +8,8 @@ can start with one implementation and continue with the other.
 from __future__ import annotations
 
 import inspect
-import os
-import threading
-from collections.abc import Callable
 from typing import Any
 
-import numba
 import numpy as np
 import torch
 from gymnasium import spaces
@@ -26,7 +22,6 @@ from inclined_landing.models.base.errors import UserError
 from inclined_landing.train.fast import kernels, layers
 
 _BUFFERED = ("observations", "actions", "values", "log_probs", "advantages", "returns")
-CORES = len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
 
 
 class _FlatNetwork:
@@ -96,53 +91,12 @@ def scatter(vector: np.ndarray, tensors: list[torch.Tensor]) -> None:
         first += tensor.numel()
 
 
-def both(work: Callable[[int], None], threads: int, let_go: Callable[[], None] | None = None) -> None:
-    """Call work(0) and work(1), on two threads if there are two.
-
-    If one of them fails or is interrupted, `let_go` must keep the other from waiting for it.
-    """
-    if threads < 2:
-        work(0)
-        work(1)
-        return
-    failures: list[BaseException] = []
-
-    def second() -> None:
-        try:
-            work(1)
-        except BaseException as error:
-            failures.append(error)
-            if let_go is not None:
-                let_go()
-
-    other = threading.Thread(target=second)
-    try:
-        other.start()
-        work(0)
-    except BaseException:
-        if let_go is not None:
-            let_go()
-        raise
-    finally:
-        if other.ident is not None:
-            other.join()
-    if failures:
-        raise failures[0]
-
-
-def loaded() -> bool:
-    """Return whether other programs have kept the cores of this machine busy in the last minute."""
-    return hasattr(os, "getloadavg") and os.getloadavg()[0] > 1.0 + (os.cpu_count() or 1)
-
-
 class FastPPO(PPO):
     """PPO for two separate tanh networks, a normal distribution of actions and a CPU.
 
-    Raises UserError if the options ask for anything else. `threads` is the number of cores to use (one or
-    two; by default those available), which does not change a single bit of the result.
+    Raises UserError if the options ask for anything else.
     """
 
-    threads = min(2, CORES)
     policy_kwargs: dict[str, Any]
     _last_obs: np.ndarray
     _last_episode_starts: np.ndarray
@@ -256,14 +210,7 @@ class FastPPO(PPO):
 
     def _evaluate(self, critic: _FlatNetwork, observations: np.ndarray, values: np.ndarray) -> None:
         """Write the critic's values (n,) of observations (n, o)."""
-        scaling, observations = self._scaling(), np.ascontiguousarray(observations)
-        middle = len(values) // (2 * layers.BLOCK) * layers.BLOCK
-
-        def part(k: int) -> None:
-            rows = slice(middle, None) if k else slice(0, middle)
-            kernels.evaluate(critic.forward(), scaling, observations[rows], values[rows])
-
-        both(part, self.threads if middle else 1)
+        kernels.evaluate(critic.forward(), self._scaling(), np.ascontiguousarray(observations), values)
 
     def train(self) -> None:
         """Run SB3's update on the rollout in the buffer."""
@@ -304,17 +251,7 @@ class FastPPO(PPO):
             beta2=float(beta2),
             epsilon=float(group["eps"]),
         )
-        counter, norms = np.zeros(1, np.int64), np.zeros((2, 2))
-        rest = *learners, rollout, np.array(order, np.uint64), self._scaling(), settings, statistics
-        # On a loaded machine two threads, which meet once per minibatch, mostly wait for each other.
-        if self.threads < 2 or loaded() or numba.config.DISABLE_JIT:  # without which threads cannot meet
-            kernels.update(True, True, counter, norms, *rest)
-        else:
-            both(
-                lambda k: kernels.update(k == 0, k == 1, counter, norms, *rest),
-                self.threads,
-                let_go=lambda: counter.fill(kernels.NOBODY),
-            )
+        kernels.update(*learners, rollout, np.array(order, np.uint64), self._scaling(), settings, statistics)
         for network, learner in zip((actor, critic), learners):
             if network.learns:
                 network.store(optimizer, learner.moments, learner.steps)

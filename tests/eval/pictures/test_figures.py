@@ -13,7 +13,6 @@ from inclined_landing.envs.tasks import make_task
 from inclined_landing.envs.tasks.landing import LandingConditions
 from inclined_landing.eval import cli
 from inclined_landing.eval.base.style import save_figure
-from inclined_landing.eval.pictures.figures.curriculum import curriculum_figure
 from inclined_landing.eval.pictures.figures.trajectory import trajectory_figure
 from inclined_landing.eval.pictures.learning import learning_curves
 from inclined_landing.models.base.errors import UserError
@@ -102,8 +101,6 @@ def test_figures_refuse_what_they_cannot_draw(tmp_path):
     (tmp_path / "file").touch()
     with pytest.raises(UserError, match="cannot create the folder"):
         save_figure(figure, tmp_path / "file" / "way.png")
-    with pytest.raises(UserError, match="at least one stage"):
-        curriculum_figure([])
 
 
 # --- learning curves ------------------------------------------------------------------------------
@@ -182,19 +179,14 @@ def test_a_table_that_ends_within_a_row_is_drawn_up_to_it(tmp_path, end):
     assert len(line.get_xdata()) == 39
 
 
-# --- curriculum -----------------------------------------------------------------------------------
-
-STAGES = [
-    ("near", LandingConditions(start_reach=0.5, tilt=0.0, goal_size=0.25, platform=False)),
-    (
-        "half",
-        LandingConditions(start_reach=1.9, tilt=0.5, goal_size=0.2, lowest_start=1.0, start_reach_z=0.6),
-    ),
-    ("the task", LandingConditions()),
-]
+# --- starts ---------------------------------------------------------------------------------------
 
 
-@pytest.mark.parametrize("conditions", [c for _, c in STAGES])
+@pytest.mark.parametrize("conditions", [
+    LandingConditions(start_reach=0.5, tilt=0.0, goal_size=0.25, platform=False),
+    LandingConditions(start_reach=1.9, tilt=0.5, goal_size=0.2, lowest_start=1.0, start_reach_z=0.6),
+    LandingConditions(),
+])  # fmt: skip
 def test_start_box_is_where_starts_come_from(conditions):
     task = make_task("landing")
     task.conditions = conditions
