@@ -62,7 +62,7 @@ def assert_same_policy(a, b):
 # What a resumed run may differ in: clocks and what draws or logs, what was asked for, the vehicles of the
 # last evaluation, and the best policy's file, which has the time in it.
 PASSING = {
-    *("clock", "_began", "start_time", "t", "training_seconds", "cpu_seconds", "progress", "_logger"),
+    *("clock", "_began", "start_time", "t", "training_seconds", "cpu_seconds", "curve", "_logger"),
     *("config", "record", "folder", "resumed", "begun_at", "teacher", "evaluation", "best"),
     *("_seeds", "_num_timesteps_at_start", "lr_schedule"),
 }

@@ -22,13 +22,13 @@ ACTOR = ("policy_net", "action_net", "log_std")
 
 
 class TimeSpent:
-    """Separate seconds of training, evaluation and video, continued after a resume.
+    """Separate seconds of training and evaluation, continued after a resume.
 
     `cpu` contains the CPU seconds of the process during training, summed over all cores.
     """
 
     def __init__(self, spent: dict[str, float] | None = None, cpu: float = 0.0):
-        self.spent = {"training": 0.0, "evaluation": 0.0, "video": 0.0, **(spent or {})}
+        self.spent = {"training": 0.0, "evaluation": 0.0, **(spent or {})}
         self.cpu = cpu
         self._name, self._since, self._cpu_since = "training", time.monotonic(), time.process_time()
 
@@ -102,11 +102,18 @@ class CurriculumCallback(BaseCallback):
 
 
 class LearningCurve(_BetweenRollouts):
-    """Appends one row per iteration to `rows`, for learning.csv; refuses weights that are not finite."""
+    """Appends one row per iteration to `rows`, for learning.csv; refuses weights that are not finite.
 
-    def __init__(self, rows: list[dict], curriculum: Curriculum, clock: TimeSpent):
+    It also shows the number of environment steps, with the curriculum's level and `notice`, by `tick`.
+    """
+
+    def __init__(
+        self, rows: list[dict], curriculum: Curriculum, clock: TimeSpent, tick: Tick, most_steps: int
+    ):
         super().__init__()
         self.rows, self.curriculum, self.clock = rows, curriculum, clock
+        self.tick, self.most_steps = tick, most_steps
+        self.notice = ""
 
     def _on_rollout_start(self) -> None:
         self.check_weights()
@@ -135,6 +142,9 @@ class LearningCurve(_BetweenRollouts):
                 **self.curriculum.log(),
             }
         )
+        # The last iteration is a whole one, which may end after the steps that were requested.
+        done = min(self.num_timesteps, self.most_steps)
+        self.tick(f"level {self.curriculum.level:.2f}{self.notice}", done)
 
 
 class Averaging(_BetweenRollouts):
@@ -200,16 +210,3 @@ class Every(BaseCallback):
 
     def _on_step(self) -> bool:
         return not self.stop
-
-
-class ProgressCallback(_BetweenRollouts):
-    """Shows the number of environment steps, with the curriculum's level and `notice`, by `tick`."""
-
-    def __init__(self, tick: Tick, total_steps: int, curriculum: Curriculum):
-        super().__init__()
-        self.tick, self.total, self.curriculum = tick, total_steps, curriculum
-        self.notice = ""
-
-    def _on_rollout_end(self) -> None:
-        done = min(self.num_timesteps, self.total)
-        self.tick(f"level {self.curriculum.level:.2f}{self.notice}", done)

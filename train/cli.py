@@ -85,7 +85,7 @@ def help_page(complete: bool) -> str:
 
 def _report(run: Run, metrics: dict) -> None:
     """Report on a run that has ended, or print why there is no report."""
-    from inclined_landing.train.lookup import REPORT, look_up
+    from inclined_landing.train.record import REPORT, look_up
     from inclined_landing.train.run import VEHICLE
 
     try:

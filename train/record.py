@@ -4,13 +4,14 @@ from __future__ import annotations
 
 import csv
 import dataclasses
+import importlib
 import io
 import itertools
 import json
 import os
 import shlex
 import sys
-from collections.abc import Container, Mapping, Sequence
+from collections.abc import Callable, Container, Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -18,12 +19,13 @@ from inclined_landing.envs.randomise import read_ranges
 from inclined_landing.envs.shared import runs
 from inclined_landing.envs.tasks import is_path
 from inclined_landing.models.base import schema, storage
-from inclined_landing.models.base.errors import UserError, shown
+from inclined_landing.models.base.errors import UserError, not_installed, shown
 from inclined_landing.models.parameters import load_vehicle
 from inclined_landing.models.vehicle import Vehicle
 from inclined_landing.train.config import COPIED, ENDING, TrainConfig, flag_of
 
 RECORD = "run.json"
+REPORT = "after_training.report"  # the function of `eval` that writes the report on a run
 # Options that may differ from those the run was begun with.
 FREE = ("out", "max_seconds", "report", "threads")
 
@@ -155,3 +157,16 @@ def as_csv(rows: Sequence[Mapping[str, float]]) -> str:
     writer.writeheader()
     writer.writerows({name: "" if x != x else x for name, x in row.items()} for row in rows)
     return text.getvalue()
+
+
+def look_up(name: str) -> Callable[..., Any]:
+    """Return a function of `eval`, named `module.function`; raises UserError if a package is missing.
+
+    Training imports nothing of `eval` otherwise, and runs without its packages.
+    """
+    module_name, _, function = name.rpartition(".")
+    try:
+        module = importlib.import_module(f"inclined_landing.eval.{module_name}")
+    except ModuleNotFoundError as error:
+        raise UserError(not_installed(error, "eval")) from error
+    return getattr(module, function)

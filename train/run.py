@@ -35,7 +35,6 @@ from inclined_landing.train.callbacks import (
     CurriculumCallback,
     Every,
     LearningCurve,
-    ProgressCallback,
 )
 from inclined_landing.train.config import COPIED, TrainConfig
 from inclined_landing.train.ending import COMPLETE, Ending
@@ -97,7 +96,7 @@ class Run:
         learner, rows = self.learner, self.evaluation.rows
         self.ending = Ending(self.config, learner.curriculum, learner.history, rows)
         self.metrics = None if saved is None else self._finished()
-        self.progress: ProgressCallback | None = None
+        self.curve: LearningCurve | None = None
         self._stopped = False
 
     @property
@@ -170,12 +169,13 @@ class Run:
         def every(interval: int, action, least: int = 1) -> Every:
             return Every(interval, action, config.per_iteration, max(least, first))
 
-        self.progress = ProgressCallback(tick, config.most_steps(), learner.curriculum)
+        self.curve = LearningCurve(
+            learner.history, learner.curriculum, learner.clock, tick, config.most_steps()
+        )
         callbacks = [
             CurriculumCallback(learner.curriculum, config.steps, config.learning_rate),
-            LearningCurve(learner.history, learner.curriculum, learner.clock),
+            self.curve,
             Averaging(learner.averages, learner.curriculum.averaging),
-            self.progress,
             every(config.evaluate_every, self._evaluate_or_end),
             every(config.checkpoint_every, self.checkpoint, least=0),
         ]
@@ -205,8 +205,8 @@ class Run:
         score = self.evaluation.evaluate(self.learner)
         for name, value in score.items():
             self.learner.model.logger.record(f"evaluation/{name}", value)
-        if self.progress is not None:
-            self.progress.notice = f", evaluation {self.evaluation.last}"
+        if self.curve is not None:
+            self.curve.notice = f", evaluation {self.evaluation.last}"
 
     def checkpoint(self, iteration: int) -> None:
         """Write everything needed to continue to one file, atomically; then write the curves."""

@@ -426,9 +426,12 @@ def test_state_survives_json_and_continues_equally(name, task):
 
 def test_progress_shows_steps_and_the_level():
     shown = []
-    progress = callbacks.ProgressCallback(
-        lambda words, done: shown.append((done, words)), 2500, make_curriculum("none", "landing", 0.98)
+    curriculum, clock = make_curriculum("none", "landing", 0.98), callbacks.TimeSpent()
+    curve = callbacks.LearningCurve(
+        [], curriculum, clock, lambda words, done: shown.append((done, words)), 2500
     )
-    for progress.num_timesteps in (1000, 2000, 3000):  # the last iteration is a whole one
-        progress._on_rollout_end()
+    curve.model = SimpleNamespace(ep_info_buffer=[])
+    for curve.num_timesteps in (1000, 2000, 3000):  # the last iteration is a whole one
+        curve._on_rollout_end()
     assert shown == [(steps, "level 1.00") for steps in (1000, 2000, 2500)]
+    assert [row["steps"] for row in curve.rows] == [1000, 2000, 3000]

@@ -21,7 +21,6 @@ from inclined_landing.envs.shared.command_line import bound, parse
 from inclined_landing.models.base import storage
 from inclined_landing.models.base.errors import UserError, shown
 from inclined_landing.train.config import TrainConfig
-from inclined_landing.train.lookup import look_up
 from inclined_landing.train.sweep.jobs import STEPS, ending_together, jobs_of, work
 from inclined_landing.train.sweep.recipe import Recipe, read_recipe, shipped
 from inclined_landing.train.sweep.result import HEADS, Result, sum_up, take
@@ -80,6 +79,8 @@ class Sweep:
 
     def check(self) -> None:
         """Raise UserError for a command line that would be refused, with the options already checked."""
+        from inclined_landing.train.record import REPORT, look_up  # here, for a quick --help
+
         for job in list(self.jobs.values())[: len(self.recipe.variants)]:  # other seeds differ in nothing
             for line in job.lines:
                 program, *words = job.words(line)
@@ -88,9 +89,7 @@ class Sweep:
                         if program == "landing-train":
                             parse(TrainConfig, program, words).resolved()
                         else:
-                            look_up(
-                                "after_training.report"
-                            )  # the packages that evaluation imports when it runs
+                            look_up(REPORT)  # the packages that evaluation imports when it runs
                             parse(bound(look_up("cli.find")(words[0])), f"{program} {words[0]}", words[1:])
                 except (UserError, KeyError, SystemExit) as error:
                     why = error if isinstance(error, UserError) else f"unknown command {shown(words[0], 40)}"
