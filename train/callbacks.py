@@ -4,13 +4,12 @@ from __future__ import annotations
 
 import math
 import time
-from collections.abc import Callable, Iterator
-from contextlib import contextmanager
+from collections.abc import Callable
 
 import numpy as np
-import torch
 from stable_baselines3.common.callbacks import BaseCallback
 from stable_baselines3.common.on_policy_algorithm import OnPolicyAlgorithm
+from torch.optim.swa_utils import AveragedModel
 
 from inclined_landing.envs.shared.progress import Tick
 from inclined_landing.models.base.errors import UserError
@@ -148,33 +147,17 @@ class LearningCurve(_BetweenRollouts):
 
 
 class Averaging(_BetweenRollouts):
-    """Keeps moving averages of the network's weights over the updates in `averages`; none if `weight` is 0.
+    """Updates moving averages of the policy's weights, at the end of a rollout.
 
-    weight: that of the previous averages in the new ones. They are updated at the end of a rollout, because a
-    resumed run begins with a rollout.
+    A resumed run begins with a rollout, so that no update is averaged twice.
     """
 
-    def __init__(self, averages: dict[str, torch.Tensor], weight: float):
+    def __init__(self, averages: AveragedModel):
         super().__init__()
-        self.averages, self.weight = averages, weight
+        self.averages = averages
 
     def _on_rollout_end(self) -> None:
-        for name, tensor in self.model.policy.named_parameters() if self.weight else ():
-            average = self.averages.setdefault(name, tensor.detach().clone())
-            average.lerp_(tensor.detach(), 1.0 - self.weight)
-
-
-@contextmanager
-def with_weights(policy: torch.nn.Module, weights: dict[str, torch.Tensor]) -> Iterator[None]:
-    """Let a network have other weights, by the names of its parameters, and then its own again."""
-    own = {name: policy.get_parameter(name).detach().clone() for name in weights}
-    try:
-        for name, tensor in weights.items():
-            policy.get_parameter(name).detach().copy_(tensor)
-        yield
-    finally:
-        for name, tensor in own.items():
-            policy.get_parameter(name).detach().copy_(tensor)
+        self.averages.update_parameters(self.model.policy)
 
 
 class CriticFirst(_BetweenRollouts):

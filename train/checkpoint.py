@@ -1,8 +1,16 @@
-"""checkpoint.pt: everything needed to continue a run, in one atomically written zip of plain data.
+"""checkpoint.pt: everything needed to continue a run, written atomically by `torch.save`.
 
-state.json   numbers and text: progress, random generators, curriculum, histories
-NAME.npy     arrays: network, optimizer, vehicles, episodes, random states
-best.zip     the policy of the best evaluation so far, if there was one
+It is a dictionary of
+
+    format      of these entries, a number
+    state       JSON: progress, random generators, curriculum, histories
+    best        bytes of the policy file of the best evaluation so far, None if there was none
+    policy      tensors by name, as are the following
+    optimizer   Adam's moments of each parameter, by its number
+    averages    of the weights, empty without averaging
+    plant       the vehicles
+    episodes
+    last        what the policy has seen and not yet answered, and the states of random generators
 
 Reading executes nothing from the file. Entries are not compressed, so that reading takes no more memory than
 the size of the file, and zip's checksums detect damaged bytes.
@@ -16,14 +24,12 @@ import os
 import zipfile
 from collections import deque
 from pathlib import Path
-from typing import Annotated, Any, NamedTuple
+from typing import Annotated, Any
 
 import numpy as np
 import torch
 from msgspec import Meta, Struct
-from stable_baselines3 import PPO
 
-from inclined_landing.envs.sb3 import BatchVecEnv
 from inclined_landing.models.base import schema, storage
 from inclined_landing.models.base.errors import UserError, shown
 from inclined_landing.train.callbacks import TimeSpent
@@ -33,10 +39,8 @@ from inclined_landing.train.learner import Learner
 from inclined_landing.train.record import FREE, RECORD, changed_entries, ranges_of
 
 CHECKPOINT = "checkpoint.pt"
-FORMAT = 2
-AVERAGE = "average."  # before the names of averaged weights
+FORMAT = 3
 _LARGEST = 2**30  # bytes
-_MOMENTS = ("step", "exp_avg", "exp_avg_sq")  # Adam's, of each parameter
 _BEFORE = {RECORD, *COPIED.values(), "tensorboard"}  # all that a run folder holds before its first checkpoint
 
 Count = Annotated[int, Meta(ge=0, le=2**53)]
@@ -44,7 +48,7 @@ Row = dict[str, int | float]
 
 
 class TrainingState(Struct, forbid_unknown_fields=True):
-    """The content of state.json, without its format."""
+    """The content of the entry `state`."""
 
     steps: Count
     updates: Count
@@ -62,19 +66,17 @@ class TrainingState(Struct, forbid_unknown_fields=True):
     cpu: float
 
 
-class Checkpoint(NamedTuple):
-    """The content of a checkpoint."""
-
-    state: dict  # JSON types, NaN allowed
-    arrays: dict[str, np.ndarray]
-    best: bytes | None
-
-
 def save(learner: Learner, evaluation: PeriodicEvaluation, config: dict) -> None:
     """Write everything needed to continue a run to its folder; config: as in run.json."""
-    numbers, arrays = training_state(learner.model, learner.env)
-    arrays |= {f"{AVERAGE}{name}": tensor.numpy() for name, tensor in learner.averages.items()}
-    state = numbers | {
+    model, best, buffer = learner.model, evaluation.best, io.BytesIO()
+    _, key, position, has_gauss, gauss = np.random.get_state()  # noqa: NPY002 (SB3 shuffles with it)
+    state = {
+        "steps": learner.steps,
+        "updates": int(model._n_updates),
+        "start_rng": learner.env.env.rng.bit_generator.state,
+        "numpy_rng": [int(position), int(has_gauss), float(gauss)],
+        "ended": [[e["r"], e["l"]] for e in model.ep_info_buffer],
+        "successes": [bool(success) for success in model.ep_success_buffer],
         "config": config,
         "vehicle": changed_entries(learner.task.vehicle),
         "ranges": ranges_of(learner.config),
@@ -84,10 +86,24 @@ def save(learner: Learner, evaluation: PeriodicEvaluation, config: dict) -> None
         "spent": dict(learner.clock.spent),
         "cpu": learner.clock.cpu,
     }
-    write(learner.config.folder / CHECKPOINT, Checkpoint(state, arrays, evaluation.best))
+    last = {
+        "observations": model._last_obs,
+        "episode_starts": model._last_episode_starts,
+        "numpy_rng": key,
+        "torch_rng": torch.get_rng_state(),
+    }
+    content = _tensors_of(learner) | {
+        "format": FORMAT,
+        "state": json.dumps(state),
+        "best": best and torch.frombuffer(bytearray(best), dtype=torch.uint8),
+        "optimizer": model.policy.optimizer.state_dict()["state"],
+        "last": {name: torch.as_tensor(array) for name, array in last.items()},
+    }
+    torch.save(content, buffer)
+    storage.write_bytes(learner.config.folder / CHECKPOINT, buffer.getvalue())
 
 
-def of_run(folder: Path) -> Checkpoint | None:
+def of_run(folder: Path) -> dict | None:
     """Return the checkpoint of the run to resume; None if it was stopped before the first one."""
     if os.path.lexists(folder / CHECKPOINT):
         return read(folder / CHECKPOINT)
@@ -99,7 +115,7 @@ def of_run(folder: Path) -> Checkpoint | None:
     return None
 
 
-def resume(saved: Checkpoint, learner: Learner, evaluation: PeriodicEvaluation, recorded: dict) -> None:
+def resume(saved: dict, learner: Learner, evaluation: PeriodicEvaluation, recorded: dict) -> None:
     """Set a new learner and its evaluation to a checkpoint; raise UserError if it does not fit.
 
     recorded: the configuration in run.json.
@@ -107,7 +123,7 @@ def resume(saved: Checkpoint, learner: Learner, evaluation: PeriodicEvaluation, 
     config = learner.config
     path, most = config.folder / CHECKPOINT, config.most_steps()
     try:
-        state = restore(learner.model, learner.env, saved)
+        state = _restore(learner, saved)
         for name, value in recorded.items():
             if name not in (*FREE, *ENDING) and state.config.get(name, value) != value:
                 raise UserError(f"belongs to another configuration: {name} differs from {RECORD}")
@@ -117,7 +133,7 @@ def resume(saved: Checkpoint, learner: Learner, evaluation: PeriodicEvaluation, 
             raise UserError(f"belongs to different ranges than {COPIED['randomise']}")
         learner.curriculum.restore(state.curriculum)
         learner.curriculum.log()
-        learner.averages = averages(learner.model, saved)
+        best = None if saved["best"] is None else saved["best"].numpy().tobytes()
         # The last iteration is a whole one, which may end after the steps that were requested.
         if most <= state.steps - config.per_iteration:
             raise UserError(f"has {state.steps} steps, more than the {most} requested")
@@ -126,42 +142,25 @@ def resume(saved: Checkpoint, learner: Learner, evaluation: PeriodicEvaluation, 
     except (ArithmeticError, AttributeError, LookupError, RuntimeError, TypeError, ValueError) as error:
         raise refused(path, "cannot be continued: its numbers do not fit together") from error
     learner.history, learner.clock = state.history, TimeSpent(state.spent, state.cpu)
-    evaluation.rows, evaluation.best = state.evaluations, saved.best
+    evaluation.rows, evaluation.best = state.evaluations, best
 
 
-def write(path: Path, saved: Checkpoint) -> None:
-    """Write a checkpoint atomically."""
-    buffer = io.BytesIO()
-    with zipfile.ZipFile(buffer, "w") as archive:
-        archive.writestr("state.json", json.dumps({"format": FORMAT} | saved.state))
-        for name, array in saved.arrays.items():
-            with archive.open(f"{name}.npy", "w") as file:
-                np.lib.format.write_array(file, array, allow_pickle=False)
-        if saved.best is not None:
-            archive.writestr("best.zip", saved.best)
-    storage.write_bytes(path, buffer.getvalue())
-
-
-def read(path: Path) -> Checkpoint:
+def read(path: Path) -> dict:
     """Read a checkpoint; raises UserError for a damaged file or one of another kind."""
     content = storage.read_bytes(path, "checkpoint", _LARGEST)
     try:
         with zipfile.ZipFile(io.BytesIO(content)) as archive:
             if any(entry.compress_type for entry in archive.infolist()):
                 raise ValueError("its entries are compressed")
-            entries = {name: archive.read(name) for name in archive.namelist()}
-        state = json.loads(entries.pop("state.json"))
-        best = entries.pop("best.zip", None)
-        arrays = {
-            name.removesuffix(".npy"): np.lib.format.read_array(io.BytesIO(data), allow_pickle=False)
-            for name, data in entries.items()
-        }
-    except Exception as error:  # whatever zipfile, json and numpy raise for damaged bytes
+            if damaged := archive.testzip():
+                raise ValueError(f"{damaged} has other bytes than were written")
+        saved = torch.load(io.BytesIO(content), weights_only=True)
+    except Exception as error:  # whatever zipfile and torch raise for damaged bytes
         reason = str(error).partition("\n")[0] or type(error).__name__
-        raise refused(path, f"is damaged or not a checkpoint ({reason})") from error
-    if not isinstance(state, dict) or state.pop("format", None) != FORMAT:
+        raise refused(path, f"is damaged or not a checkpoint of this version ({reason})") from error
+    if not isinstance(saved, dict) or saved.get("format") != FORMAT:
         raise refused(path, "was written by another version of this package")
-    return Checkpoint(state, arrays, best)
+    return saved
 
 
 def refused(path: Path, why: str) -> UserError:
@@ -169,90 +168,57 @@ def refused(path: Path, why: str) -> UserError:
     return UserError(f"checkpoint {path} {shown(why, 120)}; begin a new run with another --out")
 
 
-def training_state(model: PPO, env: BatchVecEnv) -> tuple[dict, dict[str, np.ndarray]]:
-    """Return the numbers (JSON types) and arrays from which the training can be continued exactly."""
-    _, key, position, has_gauss, gauss = np.random.get_state()  # noqa: NPY002 (SB3 shuffles with it)
-    numbers = {
-        "steps": int(model.num_timesteps),
-        "updates": int(model._n_updates),
-        "start_rng": env.env.rng.bit_generator.state,
-        "numpy_rng": [int(position), int(has_gauss), float(gauss)],
-        "ended": [[e["r"], e["l"]] for e in model.ep_info_buffer],
-        "successes": [bool(success) for success in model.ep_success_buffer],
+def _tensors_of(learner: Learner) -> dict[str, dict[str, torch.Tensor]]:
+    """Return the tensors of a checkpoint that a new learner also has."""
+    batch, averages = learner.env.env, learner.averages
+    return {
+        "policy": learner.model.policy.state_dict(),
+        "averages": {} if averages is None else averages.state_dict(),
+        "plant": {name: torch.as_tensor(array) for name, array in batch.plant.save().items()},
+        "episodes": {name: torch.as_tensor(array) for name, array in batch.episode_state().items()},
     }
-    arrays = _arrays(model, env) | {
-        "numpy_rng": key,
-        "last_obs": model._last_obs,
-        "last_episode_starts": model._last_episode_starts,
-    }
-    for k, moments in model.policy.optimizer.state_dict()["state"].items():
-        arrays |= {f"optimizer.{k}.{name}": moment.numpy() for name, moment in moments.items()}
-    return numbers, arrays
 
 
-def _arrays(model: PPO, env: BatchVecEnv) -> dict[str, np.ndarray]:
-    """Return the arrays that a new model also has."""
-    batch = env.env
-    parts = {"policy": {name: tensor.numpy() for name, tensor in model.policy.state_dict().items()}}
-    parts |= {"plant": batch.plant.save(), "episodes": batch.episode_state()}
-    arrays = {f"{part}.{name}": array for part in parts for name, array in parts[part].items()}
-    return arrays | {"torch_rng": torch.get_rng_state().numpy()}
-
-
-def restore(model: PPO, env: BatchVecEnv, saved: Checkpoint) -> TrainingState:
-    """Set a new model to the state of a checkpoint, for `learn(..., reset_num_timesteps=False)`; return the
-    state.
+def _restore(learner: Learner, saved: dict) -> TrainingState:
+    """Set a new learner to a checkpoint, for `learn(..., reset_num_timesteps=False)`; return the state.
 
     Raises UserError for names, shapes or types that do not belong to this model and this environment.
     """
-    state, arrays, batch = schema.parse(saved.state, TrainingState), saved.arrays, env.env
+    state = schema.parse(json.loads(saved["state"]), TrainingState)
+    model, batch, last = learner.model, learner.env.env, saved["last"]
     batch.reset()  # which makes room for the waves of moving platforms
-    moments = _checked_moments(model, env, arrays)
-
-    def part(name: str) -> dict[str, np.ndarray]:
-        return {k.removeprefix(f"{name}."): a for k, a in arrays.items() if k.startswith(f"{name}.")}
-
-    model.policy.load_state_dict({name: torch.as_tensor(a) for name, a in part("policy").items()})
-    optimizer = model.policy.optimizer
-    optimizer.load_state_dict(optimizer.state_dict() | {"state": moments})
-    batch.plant.restore(part("plant"))
-    batch.restore_episodes(part("episodes"))
-    model._last_obs = arrays["last_obs"]
-    model._last_episode_starts = arrays["last_episode_starts"]
+    for name, expected in _tensors_of(learner).items():
+        _check(saved[name], expected, name)
+    _check(last, {"torch_rng": torch.get_rng_state()}, "last")
+    optimizer, step = model.policy.optimizer, torch.zeros(())
+    for k, parameter in enumerate(optimizer.param_groups[0]["params"]):
+        if moments := saved["optimizer"].get(k):  # the optimizer knows what has had a gradient
+            like = {"step": step, "exp_avg": parameter, "exp_avg_sq": parameter}
+            _check(moments, like, f"optimizer.{k}")
+    model.policy.load_state_dict(saved["policy"])
+    optimizer.load_state_dict(optimizer.state_dict() | {"state": saved["optimizer"]})
+    if learner.averages is not None:
+        learner.averages.load_state_dict(saved["averages"])
+    batch.plant.restore({name: tensor.numpy() for name, tensor in saved["plant"].items()})
+    batch.restore_episodes({name: tensor.numpy() for name, tensor in saved["episodes"].items()})
+    model._last_obs = last["observations"].numpy()
+    model._last_episode_starts = last["episode_starts"].numpy()
     model.num_timesteps, model._n_updates = state.steps, state.updates
     size = model._stats_window_size
     model.ep_info_buffer = deque(({"r": r, "l": l} for r, l in state.ended), maxlen=size)  # noqa: E741
     model.ep_success_buffer = deque(state.successes, maxlen=size)
     batch.rng.bit_generator.state = state.start_rng
-    torch.set_rng_state(torch.as_tensor(arrays["torch_rng"]))
-    np.random.set_state(("MT19937", arrays["numpy_rng"], *state.numpy_rng))  # noqa: NPY002
+    torch.set_rng_state(last["torch_rng"])
+    np.random.set_state(("MT19937", last["numpy_rng"].numpy(), *state.numpy_rng))  # noqa: NPY002
     return state
 
 
-def averages(model: PPO, saved: Checkpoint) -> dict[str, torch.Tensor]:
-    """Return the averaged weights of a checkpoint by name; raises UserError if they do not fit the model."""
-    found = {}
-    for key, array in saved.arrays.items():
-        if key.startswith(AVERAGE):
-            name = key.removeprefix(AVERAGE)
-            like = model.policy.get_parameter(name).detach().numpy()
-            if (array.shape, array.dtype) != (like.shape, like.dtype):
-                raise UserError(f"{key} is {array.dtype} {array.shape}, not {like.dtype} {like.shape}")
-            found[name] = torch.as_tensor(array)
-    return found
-
-
-def _checked_moments(model: PPO, env: BatchVecEnv, arrays: dict) -> dict[int, dict[str, torch.Tensor]]:
-    """Return the optimizer's moments by parameter; raises UserError for an array of another shape or type."""
-    like = _arrays(model, env)
-    moments: dict[int, dict[str, torch.Tensor]] = {}
-    for k, parameter in enumerate(model.policy.optimizer.param_groups[0]["params"]):
-        if f"optimizer.{k}.step" in arrays:  # the optimizer knows what has had a gradient
-            moments[k] = {name: torch.as_tensor(arrays[f"optimizer.{k}.{name}"]) for name in _MOMENTS}
-            weights = parameter.detach().numpy()
-            like |= {f"optimizer.{k}.{name}": weights for name in _MOMENTS[1:]}
-    for name, array in like.items():
-        found = arrays[name]
-        if (found.shape, found.dtype) != (array.shape, array.dtype):
-            raise UserError(f"{name} is {found.dtype} {found.shape}, not {array.dtype} {array.shape}")
-    return moments
+def _check(found: dict[str, torch.Tensor], like: dict[str, torch.Tensor], of: str) -> None:
+    """Raise UserError for a tensor of another shape or type than the one with its name in `like`."""
+    for name, expected in like.items():
+        tensor = found[name]
+        if (tensor.shape, tensor.dtype) != (expected.shape, expected.dtype):
+            raise UserError(
+                f"{of}.{name} is {tensor.dtype} {tuple(tensor.shape)}, not {expected.dtype} "
+                f"{tuple(expected.shape)}"
+            )

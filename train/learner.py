@@ -2,9 +2,10 @@
 
 from __future__ import annotations
 
-from contextlib import AbstractContextManager
+from collections.abc import Iterator
+from contextlib import contextmanager
 
-import torch
+from torch.optim.swa_utils import AveragedModel, get_ema_multi_avg_fn
 
 from inclined_landing.envs.policy import Policy
 from inclined_landing.envs.save import actor_of, write_policy
@@ -12,7 +13,7 @@ from inclined_landing.envs.tasks import Task, is_path
 from inclined_landing.models.base import storage
 from inclined_landing.models.parameters import load_vehicle
 from inclined_landing.train import ppo, warm_start
-from inclined_landing.train.callbacks import TimeSpent, with_weights
+from inclined_landing.train.callbacks import TimeSpent
 from inclined_landing.train.config import TrainConfig
 from inclined_landing.train.curriculum import make_curriculum
 from inclined_landing.train.record import changed_entries, ranges_of
@@ -23,7 +24,7 @@ class Learner:
 
     record: the content of run.json, which policy files repeat. fresh: whether the run begins here, and takes
     over the policy or law to start from, which is the `teacher`. `history` has a row for each iteration;
-    `averages` are those of the weights, by name, empty without averaging.
+    `averages` is the policy with moving averages of its weights, None without averaging.
     """
 
     def __init__(self, config: TrainConfig, record: dict, fresh: bool):
@@ -36,7 +37,6 @@ class Learner:
             config.curriculum, config.task, config.gamma, config.without, drawn=drawn
         )
         self.history: list[dict] = []
-        self.averages: dict[str, torch.Tensor] = {}
         self.clock = TimeSpent()
         self.teacher = None
         if config.start_from and fresh:
@@ -47,6 +47,11 @@ class Learner:
             warm_start.take_over(self.model, self.teacher)
             if self.teacher.task.name == self.task.name:
                 self.curriculum.skip()
+        self.averages: AveragedModel | None = None
+        if weight := self.curriculum.averaging:
+            averaged = get_ema_multi_avg_fn(weight)
+            self.averages = AveragedModel(self.model.policy, multi_avg_fn=averaged)
+            self.averages.module.optimizer = self.model.policy.optimizer  # which policy files contain
 
     @property
     def steps(self) -> int:
@@ -58,9 +63,16 @@ class Learner:
         if self.teacher is not None:
             warm_start.teach(self.model, self.env.env, self.teacher, self.config.seed)
 
-    def averaged(self) -> AbstractContextManager[None]:
-        """Let the model have its averaged weights, if there are any, in a `with` statement."""
-        return with_weights(self.model.policy, self.averages)
+    @contextmanager
+    def averaged(self) -> Iterator[None]:
+        """Let the model have the averaged policy, if there is one, in a `with` statement."""
+        own = self.model.policy
+        try:
+            if self.averages is not None:
+                self.model.policy = self.averages.module
+            yield
+        finally:
+            self.model.policy = own
 
     def policy(self, task: Task) -> Policy:
         """Return the present policy for flights of a task."""

@@ -175,10 +175,11 @@ class Run:
         callbacks = [
             CurriculumCallback(learner.curriculum, config.steps, config.learning_rate),
             self.curve,
-            Averaging(learner.averages, learner.curriculum.averaging),
             every(config.evaluate_every, self._evaluate_or_end),
             every(config.checkpoint_every, self.checkpoint, least=0),
         ]
+        if learner.averages is not None:
+            callbacks.append(Averaging(learner.averages))
         if config.start_from:
             callbacks.append(CriticFirst(warm_start.CRITIC_FIRST))
         if config.max_seconds is not None:

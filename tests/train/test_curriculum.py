@@ -12,6 +12,7 @@ import torch
 from inclined_landing.envs.tasks import landing, setpoint
 from inclined_landing.models.base.errors import UserError
 from inclined_landing.train import callbacks
+from inclined_landing.train.config import TrainConfig
 from inclined_landing.train.curriculum import (
     BOLD,
     FADING,
@@ -26,6 +27,7 @@ from inclined_landing.train.curriculum import (
     make_curriculum,
 )
 from inclined_landing.train.ending import Ending
+from inclined_landing.train.learner import Learner
 
 TASK = landing.LandingConditions()  # what is evaluated
 
@@ -254,19 +256,22 @@ def test_noise_is_raised_where_success_has_stopped_rising(scores, explores):
     assert (other.least_noise, other.explored_at) == (0.0, 0)
 
 
-def test_averaged_weights_are_lent_and_taken_back():
-    model = SimpleNamespace(policy=torch.nn.Linear(2, 1), num_timesteps=0)
-    averages: dict[str, torch.Tensor] = {}
-    averaging = callbacks.Averaging(averages, 0.8)
-    averaging.model = model
+def test_averaged_weights_are_lent_and_taken_back(tmp_path):
+    config = TrainConfig(out=tmp_path / "a", curriculum="balanced", environments=2, steps=256).resolved()
+    learner = Learner(config, {}, fresh=True)
+    policy = learner.model.policy
+    averaging = callbacks.Averaging(learner.averages)
+    averaging.model = learner.model
     averaging._on_rollout_end()
-    first = model.policy.weight.detach().clone()
+    first = policy.action_net.bias.detach().clone()
     with torch.no_grad():
-        model.policy.weight += 1.0
+        policy.action_net.bias += 1.0
     averaging._on_rollout_end()
-    with callbacks.with_weights(model.policy, averages):
-        torch.testing.assert_close(model.policy.weight.detach(), first + 0.2)
-    torch.testing.assert_close(model.policy.weight.detach(), first + 1.0)
+    with learner.averaged():
+        torch.testing.assert_close(learner.model.policy.action_net.bias.detach(), first + 0.2)
+        assert learner.model.policy.optimizer is policy.optimizer
+    assert learner.model.policy is policy
+    torch.testing.assert_close(policy.action_net.bias.detach(), first + 1.0)
 
 
 # --- paper -------------------------------------------------------------------------------------------
