@@ -27,7 +27,7 @@ if TYPE_CHECKING:
 # Files of which a run keeps a copy, and its name there.
 COPIED = {"vehicle": "vehicle.toml", "randomise": "randomise.toml", "start_from": "from.zip"}
 # Options that say when a run ends: the first alone, or the others.
-ENDING = ("steps", "success", "min_steps", "max_steps")
+ENDING = ("steps", "success", "max_steps")
 # Options of the task, and those of them that the command line has in degrees.
 TASK_OPTIONS = (
     *("inclination", "steepest", "dimensions", "random_yaw", "fastest", "swell", "angle_limit"),
@@ -39,7 +39,7 @@ COMMON = (
     *("task", "out", "seed", "steps", "start_from", "inclination", "steepest", "dimensions", "vehicle"),
     *("randomise", "nominal", "plant", "net_arch", "resume", "report"),
 )
-CARRIED_ON = 100_000  # min_steps of a run that goes on from a policy of its task
+CARRIED_ON = 100_000  # least steps of a run that goes on from a policy of its task
 VARIED = 32  # iterations between the longer evaluations of runs of a fixed length with drawn vehicles
 NET_ARCH = (64, 64)
 FOR_PLANE = "landing-nominal"  # the policy that replaces DESCENT in the plane
@@ -80,8 +80,6 @@ class TrainConfig:
     """Fixed number of environment steps; with --resume, the new total."""
     success: float | None = None
     """Success rate, from 0 to 1, that ends the run when two evaluations in a row reach it."""
-    min_steps: int | None = None
-    """Minimum number of environment steps of a run that ends by success."""
     max_steps: int | None = None
     """Maximum number of environment steps of a run that ends by success."""
     max_seconds: Seconds | None = None
@@ -228,6 +226,17 @@ class TrainConfig:
         assert most is not None
         return most
 
+    def least_steps(self, task: type[Task] | Task) -> int:
+        """Number of environment steps before which a resolved run of a task does not end by success."""
+        usual = CARRIED_ON if self.goes_on(task) else task.training.min_steps
+        return min(usual, self.most_steps())
+
+    def goes_on(self, task: type[Task] | Task) -> bool:
+        """Return whether the run starts from a policy of its own task."""
+        from inclined_landing.envs.policy import trained_task
+
+        return self.start_from not in (None, DESCENT) and trained_task(self.start_from) == task.name
+
     def as_json(self) -> dict:
         """Return the configuration with JSON types only."""
         paths = {name: str(path) for name in ("out", *COPIED) if (path := getattr(self, name)) is not None}
@@ -239,7 +248,7 @@ class TrainConfig:
 
 def resolve(config: TrainConfig) -> TrainConfig:
     """Return a copy with every default filled in and all values checked; raises UserError."""
-    from inclined_landing.envs.policy import trained_options, trained_task
+    from inclined_landing.envs.policy import trained_options
     from inclined_landing.envs.tasks import import_task, is_path, task_class
 
     schema.check(config, None, flag_of)
@@ -271,9 +280,9 @@ def resolve(config: TrainConfig) -> TrainConfig:
 
     # Training that continues from a policy keeps its actions and network; for the same task, its history too.
     policy = None if values["start_from"] == DESCENT else values["start_from"]
-    same_task = policy is not None and trained_task(policy) == kind.name
+    same_task = dataclasses.replace(config, start_from=policy).goes_on(kind)
     before = trained_options(policy) if policy is not None and same_task else {}
-    values |= _ending(config, usual, CARRIED_ON if same_task else usual.min_steps)
+    values |= _ending(config, usual)
     if same_task and config.history is None:
         values["history"] = before.get("history", 0)
     values["observe_vehicle"] = config.observe_vehicle or bool(before.get("observe_vehicle"))
@@ -325,8 +334,8 @@ def _usual(config: TrainConfig, kind: type[Task], dimensions: int) -> Training:
     return training if config.fastest is None else dataclasses.replace(training, randomise=None)
 
 
-def _ending(config: TrainConfig, training: Training, least: int) -> dict[str, Any]:
-    """Return the fields in ENDING that define the end of the run; least: its usual min_steps."""
+def _ending(config: TrainConfig, training: Training) -> dict[str, Any]:
+    """Return the fields in ENDING that define the end of the run."""
     chosen = [flag_of(name) for name in ENDING[1:] if getattr(config, name) is not None]
     if config.steps is not None:
         if chosen:
@@ -343,13 +352,9 @@ def _ending(config: TrainConfig, training: Training, least: int) -> dict[str, An
         return {"steps": training.steps}
     if config.evaluate_every == 0:
         raise UserError("--evaluate-every 0 needs --steps, because without evaluations nothing ends the run")
-    low, high = config.min_steps, config.max_steps
-    if low is not None and high is not None and low > high:
-        raise UserError(f"--min-steps {low} is more than --max-steps {high}")
     return {
         "success": training.success if config.success is None else config.success,
-        "min_steps": min(least, high or least) if low is None else low,
-        "max_steps": max(training.max_steps, low or 0) if high is None else high,
+        "max_steps": training.max_steps if config.max_steps is None else config.max_steps,
     }
 
 

@@ -19,10 +19,12 @@ CLOSE = 0.005  # success this close to the desired one is left to rise by itself
 class Ending:
     """The stopping rule of a run with a resolved configuration.
 
+    least_steps: the number of environment steps before which it does not end by success.
     history, evaluations: the run's lists of rows, which grow as it is trained.
     """
 
     config: TrainConfig
+    least_steps: int
     curriculum: Curriculum
     history: list[dict]
     evaluations: list[dict]
@@ -38,7 +40,7 @@ class Ending:
         that lands all of these, so after some restarts of the learning rate it is sufficient that the rate
         has stopped rising.
         """
-        if self.config.success is None or steps < (self.config.min_steps or 0):
+        if self.config.success is None or steps < self.least_steps:
             return False
         # A plateau stands for success with varied vehicles, never for that with the nominal one.
         plateau = self.curriculum.restarts >= self.curriculum.most_restarts and self._rises_no_more()

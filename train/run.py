@@ -94,7 +94,8 @@ class Run:
             self.begun_at = self.learner.steps // self.config.per_iteration
         # Only now: `checkpoint.resume` replaces both lists of rows, and the ending follows them as they grow.
         learner, rows = self.learner, self.evaluation.rows
-        self.ending = Ending(self.config, learner.curriculum, learner.history, rows)
+        least = self.config.least_steps(learner.task)
+        self.ending = Ending(self.config, least, learner.curriculum, learner.history, rows)
         self.metrics = None if saved is None else self._finished()
         self.curve: LearningCurve | None = None
         self._stopped = False

@@ -242,7 +242,7 @@ def test_noise_is_raised_where_success_has_stopped_rising(scores, explores):
     c.level = 1.0
     rows = [{"steps": 400_000 + k, "score": x, "score_varied": x} for k, x in enumerate(scores)]
     rows = [row | {"score_nominal": 1.0} for row in rows]
-    ending = Ending(SimpleNamespace(success=0.99, randomise="robust"), c, [], rows)
+    ending = Ending(SimpleNamespace(success=0.99, randomise="robust"), 0, c, [], rows)
     assert ending.should_explore() == explores
     c.explore_again(400_003)
     assert not ending.should_explore()  # only later evaluations count

@@ -17,7 +17,7 @@ from inclined_landing.envs.ids import SHIPPED
 from inclined_landing.envs.policy import load_policy
 from inclined_landing.envs.policy import locate as locate_policy
 from inclined_landing.envs.randomise import Ranges, locate, read_ranges
-from inclined_landing.envs.tasks import TASKS, StepContext
+from inclined_landing.envs.tasks import TASKS, InclinedLanding, StepContext
 from inclined_landing.models.attitude import LAG
 from inclined_landing.models.base.errors import UserError
 from inclined_landing.models.parameters import load_vehicle, write_vehicle
@@ -237,7 +237,7 @@ def test_a_landing_run_that_goes_on_begins_at_the_end_of_its_curriculum(tmp_path
     begun = Run(TrainConfig(out=tmp_path / "a", start_from="landing-nominal", nominal=True))
     assert (
         begun.learner.curriculum.level == 1.0
-        and begun.config.min_steps == CARRIED_ON > warm_start.CRITIC_FIRST
+        and begun.ending.least_steps == CARRIED_ON > warm_start.CRITIC_FIRST
     )
     assert begun.learner.curriculum.learning_rate_share(0, None) == 1.0
     begun.learner.curriculum.advance(8192)
@@ -250,7 +250,7 @@ def test_a_landing_run_that_goes_on_begins_at_the_end_of_its_curriculum(tmp_path
         == 0.5
     )
     new = Run(TrainConfig(out=tmp_path / "b", nominal=True))
-    assert new.learner.curriculum.level == 0.0 and new.config.min_steps == new.learner.task.training.min_steps
+    assert new.learner.curriculum.level == 0.0 and new.ending.least_steps == 300_000
 
 
 def test_a_run_goes_on_over_a_platform_of_another_height(tmp_path):
@@ -424,12 +424,21 @@ def scores(monkeypatch):
     return said
 
 
-def test_a_run_ends_at_two_good_evaluations_in_a_row(tmp_path, scores):
+def set_least_steps(steps, monkeypatch):
+    """Let runs of the landing task end by success after fewer steps."""
+    monkeypatch.setattr(
+        InclinedLanding, "training", dataclasses.replace(InclinedLanding.training, min_steps=steps)
+    )
+
+
+def test_a_run_ends_at_two_good_evaluations_in_a_row(tmp_path, scores, monkeypatch):
     """And not before its least steps."""
     scores[:] = [1.0]
-    assert train(config(tmp_path / "least", **OPEN, min_steps=300))[1]["steps"] == 384
+    set_least_steps(300, monkeypatch)
+    assert train(config(tmp_path / "least", **OPEN))[1]["steps"] == 384
     scores[:] = [0.99, 0.98, 0.99, 0.995, 0.0]
-    begun = Run(config(tmp_path / "a", **OPEN, min_steps=0))
+    set_least_steps(0, monkeypatch)
+    begun = Run(config(tmp_path / "a", **OPEN))
     metrics = begun.execute()
     assert metrics["steps"] == 8 * 64 and metrics["finished"] and metrics["reached"] is True
     assert metrics["ended"] == "two evaluations in a row at 99 % after 512 steps"
@@ -453,7 +462,8 @@ def test_on_varied_vehicles_a_run_learns_again_until_it_lands_them_too(tmp_path,
 
     monkeypatch.setattr(evaluation.PeriodicEvaluation, "score", score)
     again: list[int] = []
-    options = OPEN | {"evaluate_every": 1, "min_steps": 0, "randomise": Path("robust")}
+    options = OPEN | {"evaluate_every": 1, "randomise": Path("robust")}
+    set_least_steps(0, monkeypatch)
     run = Run(config(tmp_path / "a", **options))
     monkeypatch.setattr(run.learner.curriculum, "most_restarts", 1)
     monkeypatch.setattr(Curriculum, "learn_again", lambda _: again.append(run.learner.model.num_timesteps))
@@ -535,9 +545,10 @@ def test_killed_and_resumed_a_run_ends_by_success_in_the_same_bits(dies_at, tmp_
     """At the checkpoint in between, and at the one of the end itself."""
     to_come = [0.99, 0.98, 0.99, 1.0, 0.0]
     scores[:] = to_come
-    whole, _ = train(config(tmp_path / "whole", **OPEN, min_steps=0))
+    set_least_steps(0, monkeypatch)
+    whole, _ = train(config(tmp_path / "whole", **OPEN))
     scores[:] = to_come
-    train_until(dies_at, config(tmp_path / "cut", **OPEN, min_steps=0), monkeypatch)
+    train_until(dies_at, config(tmp_path / "cut", **OPEN), monkeypatch)
     scores[:] = to_come[dies_at // 2 :]
     resumed, metrics = train(TrainConfig(out=tmp_path / "cut", resume=True))
     assert metrics["steps"] == 512 and metrics["reached"]
@@ -549,12 +560,12 @@ def test_the_length_of_a_run_is_fixed_or_open(tmp_path):
         resolved = TrainConfig(out=tmp_path / "a", **options).resolved()
         return [getattr(resolved, name) for name in ENDING]
 
-    assert ends() == ends(nominal=True) == [None, 0.99, 300_000, 3_000_000]
-    assert ends(steps=7) == [7, None, None, None] and ends(task="setpoint") == [2_000_000, None, None, None]
-    assert ends(success=0.5, max_steps=9) == [None, 0.5, 9, 9]
-    assert ends(min_steps=10**7) == [None, 0.99, 10**7, 10**7]
+    assert ends() == ends(nominal=True) == [None, 0.99, 3_000_000]
+    assert ends(steps=7) == [7, None, None] and ends(task="setpoint") == [2_000_000, None, None]
+    assert ends(success=0.5, max_steps=9) == [None, 0.5, 9]
+    short = TrainConfig(out=tmp_path / "a", max_steps=9).resolved()
+    assert short.least_steps(InclinedLanding) == 9
     for wrong, sentence in (
-        ({"min_steps": 9, "max_steps": 8}, "--min-steps 9 is more than --max-steps 8"),
         ({"evaluate_every": 0}, "--evaluate-every 0 needs --steps"),
         ({"task": "setpoint", "success": 0.9}, "--success is only for the task landing"),
     ):
