@@ -1,8 +1,15 @@
 """Curricula: the conditions under which episodes start, and the rules by which these change.
 
-A curriculum is an object with a rule. It receives every finished episode, its method `advance` is called once
-per rollout, and it is logged and checkpointed through `state` and `restore`. The environment reads its
-`conditions` and never changes them.
+A curriculum is an object with a rule. The environment reads its `conditions` and never changes them. In a run
+its methods are called in this order:
+
+    once           `leave_out` (`make_curriculum`), `skip` (`Learner`), `restore` (`checkpoint.resume`)
+    an episode     `episode` where one ends (`CurriculumCallback`, as are the following)
+    a rollout      `follow` and `least_noise` before it; after it `advance`, then `conditions`,
+                   `gamma`, `learning_rate_share` and `pace`, and `log`
+    an evaluation  `is_ready` before it (`Run`); after it `may_plateau` (`Ending`), and `learn_again` or
+                   `explore_again` if evaluations have stopped rising (`Run`)
+    a checkpoint   `state` (`checkpoint.save`)
 """
 
 from __future__ import annotations
@@ -105,11 +112,22 @@ class Curriculum:
         return self._the_task
 
     def conditions(self) -> Any:
-        """Return the conditions of the next episodes; None if the task has none."""
-        return self.but_for_parts(self.stage())
+        """Return the conditions of the next episodes; None if the task has none.
+
+        Parts that the curriculum omits have the values of the task. It is called after every rollout, and
+        before the first.
+        """
+        stage = self.stage()
+        if not self._without:
+            return stage
+        task = type(stage)()
+        return dataclasses.replace(stage, **{name: getattr(task, name) for name in self._without})
 
     def leave_out(self, parts: list[str]) -> None:
-        """Set these PARTS to the task's values; without departure, leaving the arena truncates an episode."""
+        """Set these PARTS to the task's values; without departure, leaving the arena truncates an episode.
+
+        `make_curriculum` calls it for the option `--without`.
+        """
         stage = self.stage()
         fields = {field.name for field in dataclasses.fields(stage)} if stage is not None else set()
         known = [part for part, names in PARTS.items() if fields.issuperset(names)]
@@ -121,64 +139,78 @@ class Curriculum:
                 )
         self._without = [name for part in parts for name in PARTS[part]]
 
-    def but_for_parts(self, stage: Any) -> Any:
-        """Return conditions in which the parts that the curriculum omits have the values of the task."""
-        if not self._without:
-            return stage
-        task = type(stage)()
-        return dataclasses.replace(stage, **{name: getattr(task, name) for name in self._without})
-
     def episode(self, success: bool, length: int, start_x: float = 0.0) -> None:
-        """Record the end of a training episode that started at `start_x` [m]."""
+        """Record the end of a training episode that started at `start_x` [m]; called for every one."""
 
     def follow(self, divergence: float) -> None:
-        """Record the Kullback-Leibler divergence between the policies before and after an update."""
+        """Record the Kullback-Leibler divergence between the policies before and after an update.
+
+        It is called before the next rollout, so that a checkpoint, which is written then, contains it.
+        """
 
     def advance(self, steps: int) -> None:
-        """Record the end of a rollout, after `steps` environment steps in total."""
+        """Record the end of a rollout, after `steps` environment steps in total; called for every one."""
 
     def learning_rate_share(self, steps: int, total: int | None) -> float:
-        """Return the share of the initial learning rate at `steps` of `total`; None: until success."""
+        """Return the share of the initial learning rate at `steps` of `total`; None: until success.
+
+        It is called after every rollout, for the next update.
+        """
         if total is None:
             return max(SETTLED, 1.0 - steps / self.settling)
         return max(0.0, 1.0 - steps / total)
 
     def may_plateau(self, steps: int) -> bool:
-        """Return whether evaluations of a run ended by success may stop rising from now on: at SETTLED."""
+        """Return whether evaluations of a run ended by success may stop rising from now on: at SETTLED.
+
+        `Ending` asks for the steps of every evaluation, and counts only those for which it is true.
+        """
         return self.learning_rate_share(steps, None) <= SETTLED
 
     def is_ready(self, steps: int) -> bool:
-        """Return whether evaluations on varied vehicles may end a run: before, their success still rises."""
+        """Return whether evaluations on varied vehicles may end a run: before, their success still rises.
+
+        `Run` asks before every evaluation of a run that is ended by success.
+        """
         return self.may_plateau(steps)
 
     def skip(self) -> None:
-        """Go to the end of a curriculum that adapts to success, because the policy has learned the task."""
+        """Go to the end of a curriculum that adapts to success, because the policy has learned the task.
 
-    def use(self, rules: Rules) -> None:
-        """Adapt to success by these rules, if it adapts to success and has none of its own."""
+        `Learner` calls it for a new run that continues from a policy of its task.
+        """
 
     def learn_again(self) -> None:
-        """Reset the learning rate, if it adapts to success, because the policy has stopped improving."""
+        """Reset the learning rate, if it adapts to success, because the policy has stopped improving.
+
+        `Run` calls it after an evaluation if `Ending.has_stalled`.
+        """
         self.restarts += 1
 
     def explore_again(self, steps: int) -> None:
-        """Raise the exploration noise, if it adapts to success, because success has stopped rising."""
+        """Raise the exploration noise, if it adapts to success, because success has stopped rising.
+
+        `Run` calls it after an evaluation if `Ending.should_explore`, and `learn_again` was not due.
+        """
 
     def gamma(self, steps: int) -> float:
-        """Return the discount factor of the next rollout, after `steps` environment steps."""
+        """Return the discount factor of the next rollout, after `steps` environment steps.
+
+        It is called after every rollout, and before the first.
+        """
         return rising_gamma(steps) if self._gamma == RISING else float(self._gamma)
 
     def log(self) -> dict[str, float]:
-        """Return numbers for the learning curves."""
+        """Return numbers for the learning curves and TensorBoard, after every rollout."""
         return {"level": self.level}
 
     def state(self) -> dict:
-        """Return all attributes except the conditions of the task, in JSON types, for `restore`."""
+        """Return all attributes except the conditions of the task, in JSON types, for every checkpoint."""
         found = {name: value for name, value in vars(self).items() if name != "_the_task"}
         return {name: list(value) if isinstance(value, deque) else value for name, value in found.items()}
 
     def restore(self, state: dict) -> None:
-        """Continue from a `state`."""
+        """Continue from a `state`, that of the checkpoint of a run that is resumed."""
         for name in self.state():
             before, value = getattr(self, name), state[name]
             setattr(self, name, deque(value, before.maxlen) if isinstance(before, deque) else value)
@@ -209,16 +241,15 @@ class AdaptiveCurriculum(Curriculum):
     def __init__(
         self,
         gamma: float | str = 0.98,
+        rules: Rules = USUAL,
         *,
         window: int = 60,
-        gate: float = USUAL.gate,
-        floor: float = USUAL.floor,
         step: float = 0.08,
         creep: float = 0.003,
         back: float = 0.01,
     ):
         super().__init__(gamma)
-        self.gate, self.floor = gate, floor
+        self.settling, self.most_restarts, self.gate, self.floor = rules
         self.step, self.creep, self.back = step, creep, back
         self.level = 0.0
         self.recent: deque[bool] = deque(maxlen=window)
@@ -263,9 +294,6 @@ class AdaptiveCurriculum(Curriculum):
         # able to land.
         self.level, self.most_restarts = 1.0, USUAL.restarts
 
-    def use(self, rules: Rules) -> None:
-        self.settling, self.most_restarts, self.gate, self.floor = rules
-
     def learn_again(self) -> None:
         super().learn_again()
         self.full_at = None  # until success passes the gate, which it does at the next rollout
@@ -308,7 +336,8 @@ class BalancedCurriculum(AdaptiveCurriculum):
     averaging = AVERAGING
 
     def __init__(self, gamma: float | str):
-        super().__init__(gamma, gate=DRAWN.gate, floor=DRAWN.floor)
+        # READY and PATIENT instead of restarts
+        super().__init__(gamma, DRAWN._replace(restarts=USUAL.restarts))
         window = self.recent.maxlen or 0
         self.left: deque[bool] = deque(maxlen=window // 2)
         self.right: deque[bool] = deque(maxlen=window // 2)
@@ -354,9 +383,6 @@ class BalancedCurriculum(AdaptiveCurriculum):
 
     def learning_rate_share(self, steps: int, total: int | None) -> float:
         return 1.0 if total is None else super().learning_rate_share(steps, total)
-
-    def use(self, rules: Rules) -> None:
-        """Keep its own rules: gate and floor of DRAWN, and READY and PATIENT instead of restarts."""
 
     def may_plateau(self, steps: int) -> bool:
         return self.full_at is not None and steps >= self.full_at + PATIENT
@@ -488,14 +514,14 @@ class TouchdownCurriculum(Curriculum):
         return min(1.0, super().learning_rate_share(steps, total) / 0.6)
 
 
-# Curricula by name, made from gamma; "none" is known besides. Tasks say which of them know them.
-_CURRICULA: dict[str, Callable[[float | str], Curriculum]] = {
+# Curricula by name, made from gamma and rules; "none" is known besides. Tasks list those that suit them.
+_CURRICULA: dict[str, Callable[[float | str, Rules], Curriculum]] = {
     "adaptive": AdaptiveCurriculum,
-    "balanced": BalancedCurriculum,
+    "balanced": lambda gamma, rules: BalancedCurriculum(gamma),
     "fixed": FixedCurriculum,
-    "paper": lambda gamma: PaperCurriculum(),
-    "effort": EffortCurriculum,
-    "touchdown": TouchdownCurriculum,
+    "paper": lambda gamma, rules: PaperCurriculum(),
+    "effort": lambda gamma, rules: EffortCurriculum(gamma),
+    "touchdown": lambda gamma, rules: TouchdownCurriculum(gamma),
 }
 
 
@@ -511,9 +537,10 @@ def make_curriculum(
     if name not in kind.curricula:
         known = " or ".join([", ".join(kind.curricula[:-1]), kind.curricula[-1]][-len(kind.curricula) :])
         raise UserError(f"unknown curriculum {name!r} for task {task}: it must be {known}")
-    curriculum = Curriculum(gamma, kind.training_conditions) if name == "none" else _CURRICULA[name](gamma)
-    if drawn:
-        curriculum.use(DRAWN)
+    if name == "none":
+        curriculum = Curriculum(gamma, kind.training_conditions)
+    else:
+        curriculum = _CURRICULA[name](gamma, DRAWN if drawn else USUAL)
     if without:
         curriculum.leave_out([part.strip() for part in without.split(",")])
     return curriculum

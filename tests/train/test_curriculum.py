@@ -20,6 +20,7 @@ from inclined_landing.train.curriculum import (
     PARTS,
     PATIENT,
     READY,
+    USUAL,
     AdaptiveCurriculum,
     BalancedCurriculum,
     Curriculum,
@@ -88,7 +89,7 @@ def test_difficulty_only_grows_with_the_level():
 
 
 def test_the_gate_needs_a_full_window_above_its_rate():
-    c = AdaptiveCurriculum(window=60, gate=0.7, step=0.06, floor=0.3, creep=0.003)
+    c = AdaptiveCurriculum(rules=USUAL._replace(floor=0.3), window=60, step=0.06, creep=0.003)
     episodes(c, 59)
     c.advance(1)
     assert c.level == 0.003  # not full yet: creep only
