@@ -216,9 +216,6 @@ def _restore(learner: Learner, saved: dict) -> TrainingState:
 def _check(found: dict[str, torch.Tensor], like: dict[str, torch.Tensor], of: str) -> None:
     """Raise UserError for a tensor of another shape or type than the one with its name in `like`."""
     for name, expected in like.items():
-        tensor = found[name]
-        if (tensor.shape, tensor.dtype) != (expected.shape, expected.dtype):
-            raise UserError(
-                f"{of}.{name} is {tensor.dtype} {tuple(tensor.shape)}, not {expected.dtype} "
-                f"{tuple(expected.shape)}"
-            )
+        array, wanted = found[name].numpy(), expected.detach().numpy()  # TypeError for one that is sparse
+        if (array.shape, array.dtype) != (wanted.shape, wanted.dtype):
+            raise UserError(f"{of}.{name} is {array.dtype} {array.shape}, not {wanted.dtype} {wanted.shape}")

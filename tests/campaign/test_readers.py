@@ -318,6 +318,19 @@ def test_nothing_in_a_checkpoint_is_executed(tmp_path, monkeypatch):
     assert not (tmp_path / "harm").exists()
 
 
+def test_tensors_that_do_not_fit_a_run_are_refused():
+    for part, name in (("policy", "one row less"), ("plant", "complex"), ("optimizer", "sparse")):
+
+        def change(content, part=part, name=name):
+            saved, out = torch.load(io.BytesIO(content), weights_only=True), io.BytesIO()
+            tensors = saved[part] if part != "optimizer" else next(iter(saved[part].values()))
+            tensors |= {key: TENSORS[name](tensor) for key, tensor in tensors.items() if tensor.ndim}
+            torch.save(saved, out)
+            return out.getvalue()
+
+        assert CHECKPOINT in judged(READERS["training"], f"run/{CHECKPOINT}", change)
+
+
 def test_child_processes_import_nothing_from_the_current_folder():
     """In the source: every Python that is started has -P."""
     started = re.compile(r"""sys\.executable,\s*"-\S+\s*(\S+)""")
