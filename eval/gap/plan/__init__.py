@@ -2,5 +2,3 @@
 
 `design.design` chooses smooth manoeuvres by their expected information gain.
 """
-
-SECONDS = 20.0  # of a planned flight, unless another duration is given

@@ -9,7 +9,8 @@ import tyro
 from msgspec import Meta
 
 from inclined_landing.eval.base.options import RunFolder
-from inclined_landing.eval.gap.plan import SECONDS
+
+SECONDS = 20.0  # of a planned flight, unless another duration is given
 
 
 def command(
@@ -52,7 +53,7 @@ def command(
         say(*sentences.in_doubt(found), *beyond)
         say("No flight was planned, because no safe flight would distinguish these.")
         return
-    lines = [*sentences.in_doubt(found), *sentences.outcome(found), *beyond, *sentences.why_near(plan)]
+    lines = [*sentences.in_doubt(found), *sentences.outcome(found), *beyond]
     with runs.staged_run(out) as folder:
         storage.write_text(folder / "flight.csv", plan.points.csv())
         content = sentences.to_json(plan, plan_input, found, report) | {"text": lines}
