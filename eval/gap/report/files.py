@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import dataclasses
 import json
+import math
 from collections.abc import Iterable, Mapping
 from pathlib import Path
 from typing import Any
@@ -11,6 +12,7 @@ from typing import Any
 import numpy as np
 
 from inclined_landing.eval.gap.answer.identification import Identification, Identified
+from inclined_landing.eval.gap.infer.fit import field_half_widths
 from inclined_landing.eval.gap.model.reference import VehiclePosterior, posterior_path
 from inclined_landing.eval.gap.report.words import interval
 from inclined_landing.eval.gap.result import Diagnosis, Disturbance, NamedEffect
@@ -107,17 +109,18 @@ def sources_and_uncertainties(found: Identification) -> tuple[dict[str, str], di
 def provenance(d: Diagnosis, vehicle: Vehicle) -> tuple[dict[str, str], dict[str, Uncertainty]]:
     """Return source and half-width of the 95 % interval of every vehicle field that the effects change."""
     sources: dict[str, str] = {}
-    squares: dict[str, np.ndarray] = {}
+    half_widths: dict[str, float | tuple[float, ...]] = {}
+    of_effects = {effect.name: _half_widths(effect, vehicle) for effect in d.effects}
     for effect in d.effects:
-        for field, squared in _squared_half_widths(effect, vehicle).items():
+        for field, width in of_effects[effect.name].items():
             sources[field] = f"{sources[field]}; " if field in sources else "identified by landing-eval gap: "
             sources[field] += _source(effect)
-            squares[field] = squares.get(field, 0.0) + squared
-    for field, width in d.half_widths.items():
-        names = [e.name for e in d.effects if field in _squared_half_widths(e, vehicle)]
+            half_widths[field] = np.hypot(half_widths.get(field, 0.0), width)
+    for field in d.half_widths:
+        names = [name for name, fields in of_effects.items() if field in fields]
         sources[field] = "; ".join(["estimated by landing-eval gap jointly with all constants", *names])
-        squares[field] = np.square(width)
-    return sources, {field: _half_width(squared) for field, squared in squares.items()}
+    uncertainties = {n: _uncertainty(width) for n, width in (half_widths | dict(d.half_widths)).items()}
+    return sources, uncertainties
 
 
 def disturbance_fields(disturbance: Mapping[str, Disturbance]) -> tuple[dict[str, Any], dict[str, Any]]:
@@ -158,27 +161,19 @@ def _source(effect: NamedEffect) -> str:
     )
 
 
-def _squared_half_widths(effect: NamedEffect, vehicle: Vehicle) -> dict[str, np.ndarray]:
-    """Return the squared half-width of every field that the effect changes, from its intervals."""
-
-    def fields(values: Mapping[str, Mapping[str, float]]) -> dict[str, np.ndarray]:
-        changed = effects.apply(vehicle, values)
-        return {f.name: np.asarray(getattr(changed, f.name)) for f in dataclasses.fields(Vehicle)}
-
-    middle = effect.fitted
-    before, at = fields({}), fields(middle)
-    result = {name: np.zeros(at[name].shape) for name in at if np.any(at[name] != before[name])}
+def _half_widths(effect: NamedEffect, vehicle: Vehicle) -> dict[str, float | tuple[float, ...]]:
+    """Return the half-width of every field that the effect changes, from its intervals; NaN if not known."""
+    corrected = effects.apply(vehicle, effect.fitted)
+    moved = []
     for name, p in effect.parameters.items():
         if effect.parts or not np.all(np.isfinite(p.ci95)):
-            return {field: np.full(squared.shape, np.nan) for field, squared in result.items()}
-        moved = ({effect.name: middle[effect.name] | {name: end}} for end in p.ci95)
-        low, high = map(fields, moved)
-        for field in result:
-            result[field] = result[field] + (0.5 * (high[field] - low[field])) ** 2
-    return result
+            return dict.fromkeys(field_half_widths(vehicle, corrected, []), math.nan)
+        end = max(p.ci95, key=lambda end: abs(end - p.value))  # the farther one, where a bound is near
+        moved.append(effects.apply(vehicle, {effect.name: effect.fitted[effect.name] | {name: end}}))
+    return field_half_widths(vehicle, corrected, moved)
 
 
-def _half_width(squared: np.ndarray) -> Uncertainty:
-    if not np.all(np.isfinite(squared)):
+def _uncertainty(width: float | tuple[float, ...]) -> Uncertainty:
+    if not np.all(np.isfinite(width)):
         return "not known"
-    return rounded(tuple(np.sqrt(squared)) if squared.ndim else float(np.sqrt(squared)))
+    return rounded(tuple(map(float, width)) if np.ndim(width) else float(width))
