@@ -14,7 +14,7 @@ from typing import NamedTuple
 import numpy as np
 
 from inclined_landing.models.compiled import unlocked
-from inclined_landing.models.load import LOAD_SIZE, advance, mean_acceleration, swung
+from inclined_landing.models.load import LOAD_SIZE, advance
 
 NEARLY = 0.05  # m/s2, accelerations so near lead to a load's start by a single linear step
 STRETCH = 10.0  # s, the longest with one start: air and string damp what is older
@@ -22,7 +22,6 @@ ANGLE = 0.3  # rad, standard deviation of the start's angle; of its rate, times 
 _NUMBERS = 2.0  # independent errors in one channel of a window: they are smooth
 _ROUNDS = 3  # of Gauss and Newton
 _STEP = 1e-3  # of differences, in standard deviations
-_BESIDE = 8  # loads that swing side by side: as many numbers as a processor's instruction takes
 
 
 class Starts(NamedTuple):
@@ -121,27 +120,18 @@ def _swing(acceleration, start, string, out):
 def _errors(position, acceleration, loads, starts, rows, string):
     """Return the errors (s, 2 w rows) [m] of x and y in the windows, each without its line.
 
-    loads (s, 6): states at the beginning, of at most `_BESIDE`.
+    loads (s, 6): states at the beginning.
     """
-    share, length, dt = string
+    dt, pulled_by = string[2], np.empty_like(acceleration)
     moved = np.zeros((len(loads), 2, len(acceleration) + 1))
-    state = np.zeros((LOAD_SIZE + 4, _BESIDE))  # of the loads; speed and way of the vehicle along x and y
-    for s in range(_BESIDE):  # the last load fills those that are left
-        state[:LOAD_SIZE, s] = loads[min(s, len(loads) - 1)]
-    for k in range(len(acceleration)):
-        ax, ay, az = acceleration[k, 0], acceleration[k, 1], acceleration[k, 2]
-        for s in range(_BESIDE):
-            vx, vy = state[3, s], state[4, s]
-            at = swung(state[0, s], state[1, s], state[2, s], vx, vy, state[5, s], ax, ay, az, length, dt)
-            state[0, s], state[1, s], state[2, s], state[3, s], state[4, s], state[5, s] = at
-            x = mean_acceleration(ax, at[3] - vx, share, length, dt)
-            y = mean_acceleration(ay, at[4] - vy, share, length, dt)
-            state[8, s] += dt * (state[6, s] + 0.5 * dt * x)
-            state[9, s] += dt * (state[7, s] + 0.5 * dt * y)
-            state[6, s] += dt * x
-            state[7, s] += dt * y
-        for s in range(len(loads)):
-            moved[s, 0, k + 1], moved[s, 1, k + 1] = state[8, s], state[9, s]
+    for s in range(len(loads)):
+        _swing(acceleration, loads[s], string, pulled_by)
+        for i in range(2):
+            way, speed = 0.0, 0.0
+            for k in range(len(pulled_by)):
+                way += dt * (speed + 0.5 * dt * pulled_by[k, i])
+                speed += dt * pulled_by[k, i]
+                moved[s, i, k + 1] = way
     out = np.empty((len(loads), 2 * len(starts) * rows))
     middle, squares = 0.5 * (rows - 1), rows * (rows * rows - 1.0) / 12.0
     for s in range(len(loads)):
