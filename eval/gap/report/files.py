@@ -109,7 +109,7 @@ def sources_and_uncertainties(found: Identification) -> tuple[dict[str, str], di
 def provenance(d: Diagnosis, vehicle: Vehicle) -> tuple[dict[str, str], dict[str, Uncertainty]]:
     """Return source and half-width of the 95 % interval of every vehicle field that the effects change."""
     sources: dict[str, str] = {}
-    half_widths: dict[str, float | tuple[float, ...]] = {}
+    half_widths: dict[str, Any] = {}
     of_effects = {effect.name: _half_widths(effect, vehicle) for effect in d.effects}
     for effect in d.effects:
         for field, width in of_effects[effect.name].items():
@@ -173,7 +173,8 @@ def _half_widths(effect: NamedEffect, vehicle: Vehicle) -> dict[str, float | tup
     return field_half_widths(vehicle, corrected, moved)
 
 
-def _uncertainty(width: float | tuple[float, ...]) -> Uncertainty:
+def _uncertainty(width: Any) -> Uncertainty:
+    """Return the half-width of a field as its file gives it; width: a number, or one for each of several."""
     if not np.all(np.isfinite(width)):
         return "not known"
     return rounded(tuple(map(float, width)) if np.ndim(width) else float(width))
