@@ -1,8 +1,6 @@
 """A dense network evaluated in float64 by a compiled loop: actions of many observations.
 
-Every row is computed in the same order of operations, so that an action does not depend on the number of
-other rows. Rows are computed in blocks of ROWS in vector registers; a few remaining rows, or a single one,
-are computed one by one.
+Rows are computed one after the other, so that an action does not depend on the other rows.
 """
 
 from __future__ import annotations
@@ -14,8 +12,6 @@ import numpy as np
 
 from inclined_landing.models.compiled import formula, inlined, kernel
 
-ROWS = 16  # of a block
-_ENOUGH = 6  # rows for which a block is faster than one by one
 _TAYLOR = tuple(1.0 / math.factorial(k) for k in range(13))  # of exp, for |r| <= log(2)/2: 2e-16
 _LOG_TWO = 6.93145751953125e-1, 1.42860682030941723212e-6  # as a sum, whose first part has 21 bits
 _PER_LOG_TWO = 1.0 / math.log(2.0)
@@ -52,39 +48,6 @@ def tanh(x):
 
 
 @inlined
-def _block(network, x, y):
-    """Return the outputs of all layers in one array, for scaled inputs x (widest, ROWS); y is a buffer."""
-    sizes, activation, first, end = network.sizes, network.activation, 0, 0
-    for k in range(len(sizes) - 1):
-        inputs, outputs = sizes[k], sizes[k + 1]
-        w = network.weights[first : first + inputs * outputs].reshape(inputs, outputs)
-        b = network.biases[end : end + outputs]
-        first, end = first + inputs * outputs, end + outputs
-        for j in range(outputs):
-            for s in range(ROWS):
-                y[j, s] = b[j]
-        i = 0
-        while i + 4 <= inputs:  # summed one after the other, as in `_row`
-            for j in range(outputs):
-                w0, w1, w2, w3 = w[i, j], w[i + 1, j], w[i + 2, j], w[i + 3, j]
-                for s in range(ROWS):
-                    total = (y[j, s] + x[i, s] * w0) + x[i + 1, s] * w1
-                    y[j, s] = (total + x[i + 2, s] * w2) + x[i + 3, s] * w3
-            i += 4
-        while i < inputs:
-            for j in range(outputs):
-                for s in range(ROWS):
-                    y[j, s] += x[i, s] * w[i, j]
-            i += 1
-        if k < len(sizes) - 2:
-            for j in range(outputs):
-                for s in range(ROWS):
-                    y[j, s] = tanh(y[j, s]) if activation == 0 else max(y[j, s], 0.0)
-        x, y = y, x
-    return x
-
-
-@inlined
 def _row(network, x, y):
     """Return the array with the outputs of all layers for the scaled inputs x (widest,); y is a buffer."""
     sizes, activation, first, end = network.sizes, network.activation, 0, 0
@@ -109,33 +72,15 @@ def forward(rows, network):
     """Return the actions (n, a) float32 of observations (n, o)."""
     # x_0 = clip((o - centre)/scale), x_k+1 = activation(W_k x_k + b_k), the last layer without
     centre, scale, limit, sizes, _, _, _, squashed, bound = network
-    widest, n, size = 0, len(rows), sizes[-1]
-    for k in range(len(sizes)):
-        widest = max(widest, sizes[k])
-    result = np.empty((n, size), np.float32)
-    x, y = np.zeros((widest, ROWS)), np.empty((widest, ROWS))
-    x1, y1 = np.empty(widest), np.empty(widest)
-    first = 0
-    while first < n:
-        count = min(ROWS, n - first)
-        if count < _ENOUGH:
-            count = 1
-            for i in range(len(centre)):
-                x1[i] = min(limit, max(-limit, (rows[first, i] - centre[i]) / scale[i]))
-            alone = _row(network, x1, y1)
-            for j in range(size):
-                x[j, 0] = alone[j]
-            outputs = x
-        else:
-            for i in range(len(centre)):
-                for s in range(count):
-                    x[i, s] = min(limit, max(-limit, (rows[first + s, i] - centre[i]) / scale[i]))
-            outputs = _block(network, x, y)
-        for s in range(count):
-            for j in range(size):
-                a = outputs[j, s]
-                if squashed:
-                    a = math.tanh(min(bound, max(-bound, a)))
-                result[first + s, j] = min(1.0, max(-1.0, a))
-        first += count
+    result = np.empty((len(rows), sizes[-1]), np.float32)
+    x, y = np.empty(sizes.max()), np.empty(sizes.max())
+    for row in range(len(rows)):
+        for i in range(len(centre)):
+            x[i] = min(limit, max(-limit, (rows[row, i] - centre[i]) / scale[i]))
+        outputs = _row(network, x, y)
+        for j in range(sizes[-1]):
+            a = outputs[j]
+            if squashed:
+                a = math.tanh(min(bound, max(-bound, a)))
+            result[row, j] = min(1.0, max(-1.0, a))
     return result
