@@ -1,7 +1,8 @@
 """Pictures of the landing scene.
 
     renderer = make_renderer(640, 480, camera="arena")
-    frame = renderer.render(state, trail=states, ghosts=[goal], caption="t 1.10 s")
+    pose = pose_from_state(state, resting_platform(vehicle))
+    frame = renderer.render(pose, trail=states, ghosts=[Ghost(qpos_of_state(goal))], caption="t 1.10 s")
 
 Two backends draw the same scene: "ray" casts rays with MuJoCo and needs no OpenGL, "gl" is MuJoCo's
 own renderer.
@@ -10,7 +11,7 @@ own renderer.
 from __future__ import annotations
 
 from inclined_landing.envs.rendering.camera import View, look_at
-from inclined_landing.envs.rendering.pose import Ghost, Pose, pose_from_state, qpos_of_state
+from inclined_landing.envs.rendering.pose import Ghost, Pose, pose_from_state, qpos_of_state, resting_platform
 from inclined_landing.models.base import schema
 from inclined_landing.models.base.errors import UserError, shown
 from inclined_landing.models.vehicle import Vehicle
@@ -29,6 +30,7 @@ __all__ = [
     "make_renderer",
     "pose_from_state",
     "qpos_of_state",
+    "resting_platform",
 ]
 
 
@@ -52,7 +54,7 @@ def make_renderer(
     vehicle: Vehicle | None = None,
     scale: float | None = None,
 ):
-    """Return a renderer with `render(scene, ...) -> (height, width, 3) uint8` and `close()`.
+    """Return a renderer with `render(pose, ...) -> (height, width, 3) uint8` and `close()`.
 
     camera: one of CAMERAS, the first of which shows the whole arena, or, for rays, a `View`. scale:
     magnification of the drawn vehicle, by default 3 (it would be only a few pixels wide otherwise; the

@@ -74,21 +74,6 @@ class View:
         row = 0.5 * self.height - up / size
         return np.stack([column, row], axis=1), depth + self.offset
 
-    def circles(self, centres: np.ndarray, radius: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """Return centres (n, 2) and radii (n,) [pixels] of circles that contain the images of spheres.
-
-        The radius is infinite for a sphere that reaches the camera's plane.
-        """
-        pixel, depth = self.project(centres)
-        if self.orthographic:
-            return pixel, radius / self.pixel
-        # A point c + d of a sphere at depth c_z is seen at tangents p = (c + d) / (c_z + d_z), with |d| <= r:
-        #   |p - c / c_z| <= r sqrt(1 + |c / c_z|^2) / (c_z - r)
-        across = (pixel - [0.5 * self.width, 0.5 * self.height]) * self.pixel
-        room = depth - radius
-        size = radius * np.sqrt(1.0 + dot(across, across)) / (np.maximum(room, 1e-6) * self.pixel)
-        return pixel, np.where(room > 0.0, size, np.inf)
-
     def pixel_size(self, depth):
         """Return the size of a pixel [m] at the axial distance `depth` from `eye`."""
         return self.pixel * (np.ones_like(depth) if self.orthographic else depth)

@@ -119,7 +119,7 @@ class GLRenderer(SceneRenderer):
 
     def _draw(self, pose: Pose, ghosts: Sequence[Ghost], trail, trail_colour, show_vehicle) -> np.ndarray:
         _check_process()
-        self._view(pose)
+        self.view(pose)
         self._gl.make_current()
         camera = mujoco.MjvCamera()
         camera.type = mujoco.mjtCamera.mjCAMERA_FIXED

@@ -33,23 +33,6 @@ def dilated(mask: np.ndarray) -> np.ndarray:
     return tall
 
 
-def covered(shape: tuple[int, int], centres: np.ndarray, radius: np.ndarray) -> np.ndarray:
-    """Return a mask (h, w) of the pixels in any of the circles; centres (n, 2) are columns and rows."""
-    if not np.isfinite(radius).all():
-        return np.ones(shape, bool)
-    apart = np.hypot(*(centres[:, None] - centres).T)
-    within = (apart + radius[:, None] <= radius) & (radius[:, None] < radius)
-    kept = np.flatnonzero(~within.any(axis=1))  # circles that no larger one contains
-    mask = np.zeros(shape, bool)
-    for (x, y), r in zip(centres[kept].tolist(), radius[kept].tolist()):
-        box = clip_box((x - r, y - r, x + r + 1.0, y + r + 1.0), shape[1], shape[0])
-        if box is not None:
-            c0, r0, c1, r1 = box
-            across, down = np.arange(c0, c1) + (0.5 - x), np.arange(r0, r1) + (0.5 - y)
-            mask[r0:r1, c0:c1] |= across * across < (r * r - down * down)[:, None]
-    return mask
-
-
 def box_blur(image: np.ndarray, radius: int) -> np.ndarray:
     """Return the image blurred twice by a square of 2 radius + 1 pixels."""
     for _ in range(2):

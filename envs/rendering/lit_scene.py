@@ -17,7 +17,6 @@ from inclined_landing.envs.rendering.camera import FAR, dot
 # Light in display units: what a white surface receives from above, below, the sun and +x.
 _SKY, _GROUND, _SUN, _SIDE = 0.62, 0.46, 0.42, 0.05
 SUN_RADIUS = 0.02  # rad; gives the platform's shadow its soft edge
-_TALLEST = 2.0  # m; the soft edge of a shadow grows with the height of what casts it
 SHADOW_BIAS = 1.5e-3  # m
 _FLOOR = np.array([[0.865, 0.875, 0.9], [0.79, 0.815, 0.85]])  # squares of 1 m
 _HAZE = np.array([0.865, 0.895, 0.935])  # of the floor far away
@@ -57,8 +56,7 @@ class LitScene:
         self.sun = np.stack([side, np.cross(direction, side), direction])  # rows, the last one down
         self.sun_eye = np.array([0.0, 0.0, 1.0]) - FAR * direction
         self.base = self._base_rectangle()
-        self.casters = np.flatnonzero((group == SCENE) & (m.geom_rbound > 0))  # planes have none
-        self.cast_shadows()
+        mujoco.mj_kinematics(model, self.data)
 
     def twin(self) -> LitScene:
         """Return the same scene for another thread: the model is shared, the data are not."""
@@ -85,16 +83,6 @@ class LitScene:
         half = np.abs(frame.reshape(3, 3)) @ size[3:]
         return np.stack([centre[:2] - half[:2], centre[:2] + half[:2]])
 
-    def cast_shadows(self) -> None:
-        """Set `shadow_box`, the rectangle [low (2,), high (2,)] normal to the light of all static shadows."""
-        mujoco.mj_kinematics(self.model, self.data)
-        self.shadow_box = np.zeros((2, 2))
-        if not len(self.casters):
-            return
-        centre = self.data.geom_xpos[self.casters] @ self.sun[:2].T
-        bound = self.model.geom_rbound[self.casters][:, None] + 2.0 * SUN_RADIUS * _TALLEST
-        self.shadow_box = np.stack([(centre - bound).min(axis=0), (centre + bound).max(axis=0)])
-
     def cast(self, eye: np.ndarray, rays: np.ndarray, *groups: int, normals: bool = True):
         """Return first hits: geom (n,), -1 for none; distance (n,); normals (n, 3) or None."""
         n = len(rays)
@@ -108,12 +96,6 @@ class LitScene:
                 geom, distance, None if normal is None else normal.ravel(), n, mujoco.mjMAXVAL,
             )  # fmt: skip
         return geom, distance, normal
-
-    def may_be_shadowed(self, points: np.ndarray) -> np.ndarray:
-        """Return a mask (n,) of points (n, 3), False outside every shadow of the platform."""
-        low, high = self.shadow_box
-        u, v = dot(points, self.sun[0]), dot(points, self.sun[1])
-        return (u > low[0]) & (u < high[0]) & (v > low[1]) & (v < high[1])
 
     def sunlit(self, points: np.ndarray, *groups: int, offset=(0.0, 0.0)) -> np.ndarray:
         """Return a mask (n,) of points (n, 3) with no geom of the groups between them and the sun."""

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import dataclasses
 import functools
-import importlib.util
 from pathlib import Path
 
 import numpy as np
@@ -89,17 +88,11 @@ def draw_polyline(canvas: Canvas, view: View, points, *, width, colour, alpha=1.
 
 
 def font_file(name: str) -> Path:
-    """Return the file of a DejaVu font, which comes with matplotlib; importing that would take longer."""
+    """Return the file of a DejaVu font, which comes with matplotlib."""
     with optional():
-        spec = importlib.util.find_spec("matplotlib")
-        if spec is None or spec.origin is None:
-            raise ModuleNotFoundError("No module named 'matplotlib'", name="matplotlib")
-        path = Path(spec.origin).with_name("mpl-data") / "fonts" / "ttf" / f"{name}.ttf"
-        if not path.is_file():  # a distribution may keep it elsewhere
-            import matplotlib
+        import matplotlib
 
-            path = Path(matplotlib.get_data_path()) / "fonts" / "ttf" / f"{name}.ttf"
-    return path
+    return Path(matplotlib.get_data_path()) / "fonts" / "ttf" / f"{name}.ttf"
 
 
 @functools.lru_cache(maxsize=8)

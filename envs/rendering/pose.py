@@ -7,8 +7,8 @@ import dataclasses
 import mujoco
 import numpy as np
 
-from inclined_landing.models.attitude import ROLL, YAW, Z, quaternion
-from inclined_landing.models.base.errors import UserError
+from inclined_landing.models.attitude import PITCH, ROLL, YAW, Z, quaternion
+from inclined_landing.models.plants.base import PLATFORM_SIZE
 from inclined_landing.models.vehicle import Vehicle
 
 _PARKED = -10.0  # m; a platform below this height is absent
@@ -82,19 +82,10 @@ def pose_from_state(state, platform, has_base: bool = True) -> Pose:
     )
 
 
-def as_pose(scene, vehicle: Vehicle, inclination: float | None = None, azimuth: float = 0.0) -> Pose:
-    """Return the pose from a qpos (7,), a state (13,) or a Pose; None gives one far from the scene.
-
-    inclination and azimuth [rad] pose the platform if `scene` does not (default: the vehicle file's).
-    Raises UserError for anything else.
-    """
-    if isinstance(scene, Pose):
-        return scene
-    qpos = np.array([0, 0, -100, 1, 0, 0, 0] if scene is None else scene, float)
-    if qpos.shape == (13,):
-        qpos = qpos_of_state(qpos)
-    if qpos.shape != (7,):
-        raise UserError(f"a vehicle pose must be a qpos (7,) or a state (13,), not {qpos.shape}")
-    pitch = vehicle.platform_inclination if inclination is None else inclination
-    position = np.array([0.0, 0.0, vehicle.platform_surface_height])
-    return Pose(qpos, position, np.array(quaternion(0.0, pitch, azimuth)))
+def resting_platform(vehicle: Vehicle, inclination: float | None = None, azimuth: float = 0.0) -> np.ndarray:
+    """Return the state (12,) of a platform at rest; without `inclination` [rad] that of the vehicle."""
+    state = np.zeros(PLATFORM_SIZE)
+    state[Z] = vehicle.platform_surface_height
+    state[PITCH] = vehicle.platform_inclination if inclination is None else inclination
+    state[YAW] = azimuth
+    return state

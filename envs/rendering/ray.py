@@ -1,8 +1,7 @@
 """A ray-cast renderer on `mujoco.mj_multiRay`: no OpenGL, deterministic.
 
 The picture is made of layers. The background (floor, wall, platform, arena edges) depends only on the camera
-and the platform's pose and is cached; each frame casts rays for the pixels that the vehicle and its shadow
-can cover.
+and the platform's pose and is cached; each frame casts rays for the boxes around the vehicle and its shadow.
 """
 
 from __future__ import annotations
@@ -21,7 +20,6 @@ from inclined_landing.envs.rendering.images import (
     bilinear,
     bounding_box,
     box_blur,
-    covered,
     dilated,
     edges,
 )
@@ -42,7 +40,6 @@ _SKY_LOW, _SKY_HIGH = np.array([0.90, 0.93, 0.97]), np.array([0.82, 0.87, 0.94])
 _CACHED_GHOSTS = 32
 _AT_ONCE = 8192  # pixels; their numbers fit into a processor's cache
 _RIM = 1.1  # radii of a rotor's disc within which it is drawn, with its soft edge
-_AROUND = 3.0  # pixels around what may be hit: edges are found in the neighbours of pixels
 _EDGE = np.array([(i, j) for j in (0.25, 0.75) for i in (0.25, 0.75)])  # sub-pixel positions
 _FINE = np.array([(i / 8, j / 8) for j in (1, 3, 5, 7) for i in (1, 3, 5, 7)])
 
@@ -69,9 +66,6 @@ class RayRenderer(SceneRenderer):
         self.model, self.data = model, self._scene.data
         self._cached_background: tuple = (None, None)
 
-    def _platform_moved(self) -> None:
-        self._scene.cast_shadows()
-
     def several(self, count: int) -> list[RayRenderer]:
         """Return `count` renderers, which share the background and the ghosts that have been drawn."""
         renderers = [self, *(copy.copy(self) for _ in range(count - 1))]
@@ -85,7 +79,7 @@ class RayRenderer(SceneRenderer):
         self._cached_background = (None, None)
 
     def _draw(self, pose: Pose, ghosts: Sequence[Ghost], trail, trail_colour, show_vehicle) -> np.ndarray:
-        view = self._view(pose)
+        view = self.view(pose)
         back = self._background(view)
         copies: list[tuple[np.ndarray, Ghost | None]] = [(ghost.qpos, ghost) for ghost in ghosts]
         copies += [(pose.qpos, None)] if show_vehicle else []
@@ -169,8 +163,8 @@ class RayRenderer(SceneRenderer):
             towards = np.abs(dot(normal, unit))
             footprint = view.pixel_size(t) / np.maximum(towards, 0.03)
             visible = dot(normal, scene.sun[2]) < 0
-            shadowed = np.flatnonzero(visible & scene.may_be_shadowed(place))
-            visible[shadowed] = scene.sunlit(place[shadowed], SCENE, offset=sun)
+            facing = np.flatnonzero(visible)
+            visible[facing] = scene.sunlit(place[facing], SCENE, offset=sun)
             shaded, direct = scene.shade(geom, place, normal, unit, footprint)
             dark[hit] = shaded
             lit[hit] = shaded + visible[:, None] * direct
@@ -278,11 +272,8 @@ class RayRenderer(SceneRenderer):
         points = a[:, None] * scene.sun[0] + b[:, None] * scene.sun[1] + depth * scene.sun[2]
         ray = points - scene.sun_eye
         ray /= dot(ray, scene.sun[2])[:, None]
-        place = (scene.data.geom_xpos[scene.parts] @ scene.sun[:2].T - low[:2]) / texel + 0.5
-        reach = scene.model.geom_rbound[scene.parts] / texel + 1.0
-        met = np.flatnonzero(covered((size[1], size[0]), place, reach))
-        opaque, light = np.zeros((2, len(points)), np.float32)
-        opaque[met] = scene.cast(scene.sun_eye, ray[met], VEHICLE, normals=False)[0] >= 0
+        opaque = (scene.cast(scene.sun_eye, ray, VEHICLE, normals=False)[0] >= 0).astype(np.float32)
+        light = np.zeros(len(points), np.float32)
         for k in scene.discs:
             normal = scene.data.geom_xmat[k].reshape(3, 3)[:, 2]
             centre = scene.data.geom_xpos[k]
@@ -324,17 +315,11 @@ class RayRenderer(SceneRenderer):
         place(self.model, self.data, qpos)
         scene = self._scene
         c0, r0, c1, r1 = box
-        h, w = r1 - r0, c1 - c0
-        solid = self._reached(view, box, scene.parts, 1.0)
-        reached = np.flatnonzero(solid | self._reached(view, box, scene.discs, _RIM))
-        column, row = c0 + reached % w + 0.5, r0 + reached // w + 0.5
+        column, row = np.meshgrid(np.arange(c0, c1) + 0.5, np.arange(r0, r1) + 0.5)
+        column, row = column.ravel(), row.ravel()
         rays = view.rays(column, row)
-        met = solid.ravel()[reached]
-        geom, distance, normal = np.full(len(rays), -1), np.full(len(rays), -1.0), np.zeros((len(rays), 3))
-        geom[met], distance[met], normal[met] = scene.cast(view.eye, rays[met], VEHICLE)
-        seen = np.full((h, w), -1)
-        seen.reshape(-1)[reached] = geom
-        edge = dilated(edges(seen)).ravel()[reached]
+        geom, distance, normal = scene.cast(view.eye, rays, VEHICLE)
+        edge = dilated(edges(geom.reshape(r1 - r0, c1 - c0))).ravel()
         plain, edge = np.flatnonzero(~edge), np.flatnonzero(edge)
         sub_column = (column[edge][:, None] - 0.5 + _EDGE[:, 0]).ravel()
         sub_row = (row[edge][:, None] - 0.5 + _EDGE[:, 1]).ravel()
@@ -342,7 +327,6 @@ class RayRenderer(SceneRenderer):
         sub_geom, sub_distance, sub_normal = scene.cast(view.eye, sub_rays, VEHICLE)
         rgb, alpha, depth = self._vehicle_samples(
             view,
-            np.stack([np.append(column[plain], sub_column), np.append(row[plain], sub_row)], axis=1),
             np.concatenate([rays[plain], sub_rays]),
             np.concatenate([geom[plain], sub_geom]),
             np.concatenate([distance[plain], sub_distance]),
@@ -350,28 +334,18 @@ class RayRenderer(SceneRenderer):
             ghost,
         )
         k = len(plain)
-        n, parts = len(reached), len(_EDGE)
+        n, parts = len(rays), len(_EDGE)
         colour, cover, near = np.zeros((n, 3)), np.zeros(n), np.full(n, np.inf)
         colour[plain], cover[plain], near[plain] = rgb[:k], alpha[:k], depth[:k]
         colour[edge] = rgb[k:].reshape(-1, parts, 3).mean(axis=1)
         cover[edge] = alpha[k:].reshape(-1, parts).mean(axis=1)
         near[edge] = depth[k:].reshape(-1, parts).min(axis=1)
         kept = np.flatnonzero(cover > 0)
-        pixels = (r0 + reached[kept] // w, c0 + reached[kept] % w)
+        pixels = (r0 + kept // (c1 - c0), c0 + kept % (c1 - c0))
         return pixels, colour[kept], cover[kept], near[kept]
 
-    def _reached(self, view: View, box, geoms: np.ndarray, factor: float) -> np.ndarray:
-        """Return a mask (h, w) of the pixels of a box that rays to the geoms, so much enlarged, may pass."""
-        centres, radius = self._scene.data.geom_xpos[geoms], factor * self._scene.model.geom_rbound[geoms]
-        pixel, size = view.circles(centres, radius)
-        c0, r0, c1, r1 = box
-        return covered((r1 - r0, c1 - c0), pixel - [c0, r0], size + _AROUND)
-
-    def _vehicle_samples(self, view: View, pixel, rays, geom, distance, normal, ghost: Ghost | None):
-        """Return colour weighted by coverage (n, 3), coverage (n,) and depth (n,) along rays.
-
-        pixel: columns and rows (n, 2) of the rays.
-        """
+    def _vehicle_samples(self, view: View, rays, geom, distance, normal, ghost: Ghost | None):
+        """Return colour weighted by coverage (n, 3), coverage (n,) and depth (n,) along rays."""
         scene = self._scene
         n = len(rays)
         rgb, alpha, depth = np.zeros((n, 3)), np.zeros(n), np.full(n, np.inf)
@@ -393,18 +367,13 @@ class RayRenderer(SceneRenderer):
             frame = scene.data.geom_xmat[k].reshape(3, 3)
             centre, radius = scene.data.geom_xpos[k], scene.model.geom_size[k][0]
             # Ray e + t d meets the disc's plane (x - c).n = 0 at t = (c - e).n / (d.n).
-            middle, size = view.circles(centre[None], np.array([_RIM * radius]))
-            away = pixel - middle
-            near = np.flatnonzero(away[:, 0] ** 2 + away[:, 1] ** 2 < (size + 1.0) ** 2)
-            slope = dot(rays[near], frame[:, 2])
+            slope = dot(rays, frame[:, 2])
             t = ((centre - view.eye) @ frame[:, 2]) / np.where(np.abs(slope) < 1e-9, 1e-9, slope)
             with np.errstate(over="ignore", invalid="ignore"):
-                offset = view.eye + t[:, None] * rays[near] - centre
+                offset = view.eye + t[:, None] * rays - centre
                 reach = np.sqrt(dot(offset, offset))
-            inside = np.flatnonzero((reach < _RIM * radius) & (t > 0))
-            if not len(inside):
-                continue
-            near, slope, t, offset, r = (x[inside] for x in (near, slope, t, offset, reach))
+            near = np.flatnonzero((reach < _RIM * radius) & (t > 0))
+            slope, t, offset, r = (x[near] for x in (slope, t, offset, reach))
             tilt = np.maximum(np.abs(slope), 0.03)
             soft = view.pixel_size(t) / tilt
             cover = np.clip((radius - r) / soft + 0.5, 0.0, 1.0)

@@ -11,7 +11,8 @@ import numpy as np
 
 from inclined_landing.envs.rendering import overlay, scenery
 from inclined_landing.envs.rendering.camera import View, camera_view
-from inclined_landing.envs.rendering.pose import Ghost, Pose, as_pose, place
+from inclined_landing.envs.rendering.pose import Ghost, Pose, place, pose_from_state, resting_platform
+from inclined_landing.models.attitude import STATE_SIZE
 from inclined_landing.models.base.errors import UserError
 from inclined_landing.models.parameters import load_vehicle
 from inclined_landing.models.vehicle import Vehicle
@@ -37,29 +38,25 @@ class SceneRenderer(contextlib.AbstractContextManager, abc.ABC):
         usual = 1.0 if camera in scenery.CLOSE_CAMERAS else scenery.SCALE
         self.scale = usual if scale is None else float(scale)
         self._platform = "none yet"
-        self.set_platform(as_pose(None, self.vehicle))
+        self.set_platform(pose_from_state(np.zeros(STATE_SIZE), resting_platform(self.vehicle)))
 
     def render(
         self,
-        scene,
+        pose: Pose,
         *,
-        inclination: float | None = None,
         trail=None,
         trail_colour=None,
-        ghosts=(),
+        ghosts: Sequence[Ghost] = (),
         caption: str = "",
         show_vehicle: bool = True,
     ) -> np.ndarray:
         """Return one frame (height, width, 3) uint8.
 
-        scene: a qpos (7,), a state (13,) or a `Pose`; inclination [rad] of the platform if `scene` does not
-        define it. trail: states (k, 13), drawn through the centre of the drawn
-        vehicle, or points (k, 3) [m]; trail_colour (3,) or (k, 3). ghosts: `Ghost`s or qpos (7,).
+        trail: states (k, 13), drawn through the centre of the drawn vehicle, or points (k, 3) [m];
+        trail_colour (3,) or (k, 3).
         """
-        pose = self._pose(scene, inclination)
         if trail is not None and np.shape(trail)[1:] == (13,):
             trail = self.centres(trail)
-        ghosts = [g if isinstance(g, Ghost) else Ghost(np.asarray(g, float)) for g in ghosts]
         trail = None if trail is None or len(trail) < 2 else np.asarray(trail, float)
         frame = self._draw(pose, ghosts, trail, trail_colour, show_vehicle)
         if caption:
@@ -75,19 +72,11 @@ class SceneRenderer(contextlib.AbstractContextManager, abc.ABC):
         """Return at most `count` renderers of this scene that draw in threads of their own; itself first."""
         return [self]
 
-    def view(self, scene, inclination: float | None = None) -> View:
-        """Return the view that `render` uses for this scene: projects points to pixels."""
-        return self._view(self._pose(scene, inclination))
-
-    def _pose(self, scene, inclination: float | None) -> Pose:
+    def view(self, pose: Pose) -> View:
+        """Return the view that `render` uses at a pose, at which vehicle and platform are placed."""
         if self.closed:
             raise UserError("this renderer has been closed")
-        pose = as_pose(scene, self.vehicle, inclination)
         self.set_platform(pose)
-        return pose
-
-    def _view(self, pose: Pose) -> View:
-        """Return the view of the camera at a pose, at which the vehicle is placed."""
         place(self.model, self.data, pose.qpos)
         if isinstance(self.camera, View):
             return self.camera
@@ -110,10 +99,6 @@ class SceneRenderer(contextlib.AbstractContextManager, abc.ABC):
         if not pose.has_base:
             k = int(self.model.body("platform").mocapid[0])
             self.data.mocap_pos[k], self.data.mocap_quat[k] = pose.platform_pos, pose.platform_quat
-            self._platform_moved()
-
-    def _platform_moved(self) -> None:
-        """Hook for what depends on the pose of a platform without base."""
 
     @abc.abstractmethod
     def _prepare(self, model: mujoco.MjModel) -> None:

@@ -115,10 +115,13 @@ def _simulation() -> tuple[bool, str]:
 
 def _rendering() -> tuple[bool, str]:
     """Return how pictures are rendered; ray casting needs only MuJoCo."""
-    from inclined_landing.envs.rendering import make_renderer
+    import numpy as np
+
+    from inclined_landing.envs.rendering import make_renderer, pose_from_state
+    from inclined_landing.models.attitude import STATE_SIZE
 
     with make_renderer(64, 48) as renderer:
-        renderer.render(None)
+        renderer.render(pose_from_state(np.zeros(STATE_SIZE), None))
     return True, "ray casting on the processor"
 
 

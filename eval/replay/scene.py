@@ -8,7 +8,8 @@ import mujoco
 import numpy as np
 
 from inclined_landing.envs.rendering import scenery
-from inclined_landing.envs.rendering.pose import as_pose
+from inclined_landing.envs.rendering.pose import pose_from_state, resting_platform
+from inclined_landing.models.attitude import STATE_SIZE
 from inclined_landing.models.vehicle import Vehicle
 
 _KINDS = {
@@ -29,7 +30,7 @@ def scene(vehicle: Vehicle, inclination: float | None, azimuth: float = 0.0) -> 
     Those of the world are in the world frame, those of the vehicle in the body frame. `low`: height of the
     foot tips in the body's frame; `feet`: their spheres; `scale`: magnification of the drawn vehicle.
     """
-    pose = as_pose(np.array([0, 0, 0, 1, 0, 0, 0]), vehicle, inclination, azimuth)
+    pose = pose_from_state(np.zeros(STATE_SIZE), resting_platform(vehicle, inclination, azimuth))
     platform = None if inclination is None else (pose.platform_pos, pose.platform_quat)
     model = scenery.rendering_model(vehicle, platform, scale=1.0)
     data = mujoco.MjData(model)

@@ -79,8 +79,9 @@ def test_the_base_flies_with_five_packages():
         "env, policy = inclined_landing.make_for('landing', disable_env_checker=True)\n"
         "seen, _ = env.reset(seed=0)\n"
         "for _ in range(3): seen, *_ = env.step(policy.predict(seen))\n"
-        "from inclined_landing.envs.rendering import make_renderer\n"
-        "print(make_renderer(64, 48, backend='ray').render(None).shape)"
+        "from inclined_landing.envs.rendering import make_renderer, pose_from_state\n"
+        "pose = pose_from_state(env.unwrapped.batch.plant.state[0], None)\n"
+        "print(make_renderer(64, 48, backend='ray').render(pose).shape)"
     )
     assert without_extras(code) == "(48, 64, 3)\n"
 
