@@ -6,10 +6,9 @@ import numpy as np
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from inclined_landing.envs import swell
 from inclined_landing.envs.batch import BatchEnv
 from inclined_landing.envs.make import make_batch
-from inclined_landing.envs.tasks import StepContext, make_task
+from inclined_landing.envs.tasks import StepContext, make_task, moving
 from inclined_landing.envs.tasks.touchdown import FRICTION, TouchdownConditions, resting
 from inclined_landing.models.attitude import ROLL, VX, VZ, WX, WZ, YAW, Z, rotation
 from inclined_landing.models.plants import Contacts, make_plant
@@ -93,17 +92,17 @@ def test_starts_are_clear_of_platforms_that_move_and_at_rest_in_the_room():
 
 
 def test_the_swell_keeps_within_what_it_says():
-    motion = swell.draw(np.random.default_rng(1), 1.0, 1.0, np.full(500, math.pi))
+    motion = moving.draw(np.random.default_rng(1), 1.0, 1.0, np.full(500, math.pi))
     place, rate, _ = motion.at(np.linspace(0.0, 60.0, 500))
-    assert np.abs(place[:, 2]).max() <= swell.WAVES * swell.HEAVE
-    assert np.abs(rate[:, 2]).max() <= swell.WAVES * swell.HEAVE_SPEED
-    assert np.abs(place[:, 3:5]).max() <= swell.WAVES * swell.TILT
-    assert math.hypot(*np.abs(place[:, 3:5]).max(axis=0)) <= swell.STEEPEST
-    still = swell.draw(np.random.default_rng(1), 0.0, 0.0, np.zeros(5)).at(3.0)
+    assert np.abs(place[:, 2]).max() <= moving.WAVES * moving.HEAVE
+    assert np.abs(rate[:, 2]).max() <= moving.WAVES * moving.HEAVE_SPEED
+    assert np.abs(place[:, 3:5]).max() <= moving.WAVES * moving.TILT
+    assert math.hypot(*np.abs(place[:, 3:5]).max(axis=0)) <= moving.STEEPEST
+    still = moving.draw(np.random.default_rng(1), 0.0, 0.0, np.zeros(5)).at(3.0)
     assert not any(array.any() for array in still)
     room = np.linspace(0.0, 0.3, 500)
-    narrow = swell.draw(np.random.default_rng(1), 1.0, 1.0, room)
-    assert (swell.largest_tilt(narrow.amplitude) <= room + 1e-12).all()
+    narrow = moving.draw(np.random.default_rng(1), 1.0, 1.0, room)
+    assert (moving.largest_tilt(narrow.amplitude) <= room + 1e-12).all()
     np.testing.assert_array_equal(narrow.amplitude[:, 2], motion.amplitude[:, 2])  # heave is as it was
 
 
@@ -119,7 +118,7 @@ def test_drawn_friction_holds_on_drawn_slopes():
     )
     task.conditions = TouchdownConditions(friction=FRICTION, steep=0.5)
     start = task.sample(np.random.default_rng(4), 400)
-    slope = np.abs(start.inclination) + swell.largest_tilt(start.motion.amplitude)
+    slope = np.abs(start.inclination) + moving.largest_tilt(start.motion.amplitude)
     assert slope.max() <= math.radians(55) + 1e-9 and slope.max() > math.radians(50)
     assert (start.contact["friction"] >= 1.04 * np.tan(slope) - 1e-9).all()
     assert start.contact["friction"].min() < 0.7  # level platforms stay slippery
