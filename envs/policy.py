@@ -200,7 +200,7 @@ def read_policy(path: str | Path) -> tuple[dict, dict[str, Any]]:
     path = locate(path)
     with policy_file.open_file(path) as archive:
         metadata, network = policy_file.read(archive, path)
-        return metadata, network or sb3_file.read_network(archive, metadata, path)
+        return metadata, network or sb3_file.read_network(archive, path)
 
 
 def trained_task(path: str | Path) -> str | None:

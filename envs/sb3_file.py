@@ -43,15 +43,15 @@ _KNOWN = (
 )
 
 
-def read_network(archive: zipfile.ZipFile, metadata: dict, path: Path) -> dict[str, Any]:
+def read_network(archive: zipfile.ZipFile, path: Path) -> dict[str, Any]:
     """Return the fields of `Policy` that make up its network.
 
-    metadata: those of an earlier version of this package, or empty. Raises UserError for a file of another
-    algorithm, or if the observations or actions of its network differ from the task's.
+    Raises UserError for a file of another algorithm, or if the observations or actions of its network differ
+    from the task's.
     """
     header = read_table(archive, _HEADER, path)
     options = _table(header, "policy_kwargs")
-    if foreign := _foreign(header, metadata):
+    if foreign := _foreign(header):
         raise _refused(path, foreign)
     tensors = read_tensors(archive, path)
     if unknown := next((name for name in tensors if not re.match(_KNOWN, name)), None):
@@ -92,14 +92,14 @@ def _table(header: dict, name: str) -> dict:
     return value if isinstance(value, dict) else {}
 
 
-def _foreign(header: dict, metadata: dict) -> str | None:
+def _foreign(header: dict) -> str | None:
     """Return what a header states beyond tensors and task, as in "policy X was ...", or None."""
     if not header:
         return "is damaged, or not a policy file"
     module = _table(header, "policy_class").get("__module__")
     if module != _POLICIES or "clip_range" not in header:
         return "is neither a file of this package nor one of Stable-Baselines3's PPO with a standard policy"
-    if header.get("_last_original_obs") is not None or metadata.get("normalisation"):
+    if header.get("_last_original_obs") is not None:
         return "was trained with VecNormalize, whose statistics it does not hold"
     extractor = _table(header, "policy_kwargs").get("features_extractor_class")
     if extractor is not None and not re.fullmatch(_EXTRACTORS, str(extractor)):

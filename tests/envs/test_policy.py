@@ -44,7 +44,7 @@ def model(observations=5, actions=2, **policy_kwargs) -> PPO:
 
 
 def saved(path, network: PPO, metadata=METADATA):
-    """Write Stable-Baselines3's own file, with metadata as earlier versions of this package added them."""
+    """Write Stable-Baselines3's own file, with metadata that tell its task."""
     network.save(path)
     if metadata is not None:
         restamp(path, metadata)
