@@ -117,10 +117,7 @@ def test_options_reach_task_and_plant():
 
 WRONG_OPTIONS = [
     (InclinedLandingEnv, {"plant_options": {"wings": 2}}, "the mujoco plant has no option 'wings'"),
-    (InclinedLandingEnv, {"plant_options": {"timestep": "4 ms"}}, "timestep must be a number"),
-    (InclinedLandingEnv, {"plant_options": ["RK4"]}, "plant_options must be a dictionary"),
     (InclinedLandingVectorEnv, {"n": 3, "name": "x"}, "the task landing has no option 'n'"),
-    (InclinedLandingEnv, {"dimensions": np.zeros(3)}, "dimensions must be 2 or 3, not array"),
     (InclinedLandingEnv, PICTURE | {"width": 1e9}, "width must be a whole number from 16 to 4096"),
     (InclinedLandingVectorEnv, {"num_envs": 0}, "num_envs must be an integer from 1 to 100000, not 0"),
 ]
@@ -137,13 +134,9 @@ def test_wrong_resets_and_actions_are_one_sentence(task):
     state = hovering((1, 0, 1.8))[0]
     for env, given, sentence in (
         (single, {"options": {"state": state[:12]}}, r"\(1, 13\), not \(1, 12\)"),
-        (single, {"options": {"state": state + 0j}}, "start state must be an array of real numbers"),
         (single, {"options": {"start": state}}, "unknown option 'start' of reset; choose from state"),
-        (single, {"options": [state]}, "options of reset must be a dictionary"),
         (single, {"seed": -1}, "a seed must be a non-negative integer, not -1"),
-        (vector, {"seed": [1, 2]}, r"a seed must be a non-negative integer, not \[1, 2\]"),
         (vector, {"options": {"state": state}}, r"\(3, 13\), not \(13,\)"),
-        (vector, {"options": {"reset_mask": [True]}}, "unknown option 'reset_mask' of reset"),
     ):
         with pytest.raises(UserError, match=sentence):
             env.reset(**given)
@@ -152,8 +145,6 @@ def test_wrong_resets_and_actions_are_one_sentence(task):
         vector.reset(seed=seed)
     with pytest.raises(UserError, match=r"the action must have shape \(.,\), not \(1,\)"):
         single.step([0.0])
-    with pytest.raises(UserError, match="the action must be an array of real numbers"):
-        single.step(["up", "down"])
     with pytest.raises(UserError, match="reward_scale must be a positive number"):
         vec_env(task=task, reward_scale=float("inf"))
 
