@@ -70,11 +70,6 @@ def bounding_box(
         return (0, 0, view.width, view.height) if depth.max() > _NEAR else None
     reach = (radius / view.pixel_size(depth) + margin)[:, None]
     low, high = np.floor((pixel - reach).min(axis=0)), np.ceil((pixel + reach).max(axis=0))
-    return clip_box((*low, *high), view.width, view.height)
-
-
-def clip_box(box, width: int, height: int) -> tuple[int, int, int, int] | None:
-    """Return the part of a pixel box within the picture, or None."""
-    c0, r0, c1, r1 = box
-    c0, r0, c1, r1 = max(int(c0), 0), max(int(r0), 0), min(int(c1), width), min(int(r1), height)
+    c0, r0 = max(int(low[0]), 0), max(int(low[1]), 0)
+    c1, r1 = min(int(high[0]), view.width), min(int(high[1]), view.height)
     return (c0, r0, c1, r1) if c1 > c0 and r1 > r0 else None

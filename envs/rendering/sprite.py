@@ -10,7 +10,7 @@ import numpy as np
 
 from inclined_landing.envs.rendering import scenery
 from inclined_landing.envs.rendering.camera import look_at
-from inclined_landing.envs.rendering.pose import Ghost, Pose, place, qpos_of_state
+from inclined_landing.envs.rendering.pose import Ghost, place, pose_from_state, qpos_of_state
 from inclined_landing.envs.rendering.ray import RayRenderer
 from inclined_landing.models import threads
 from inclined_landing.models.attitude import STATE_SIZE
@@ -19,7 +19,6 @@ from inclined_landing.models.parameters import load_vehicle
 from inclined_landing.models.vehicle import Vehicle
 
 _PLACE = np.array([0.0, 0.0, 1.2])  # m; every copy is drawn here, alone under the same light
-_NOWHERE = np.array([0.0, 0.0, -100.0])
 
 
 @dataclasses.dataclass(frozen=True)
@@ -49,9 +48,7 @@ class SpriteRenderer:
         self.vehicle = vehicle or load_vehicle()
         self.scale, self.pixels, self.across = scale, pixels, across
         self._renderer = RayRenderer(self.vehicle, pixels, pixels, "side", scale)
-        self._renderer.set_platform(
-            Pose(np.array([*_PLACE, 1.0, 0.0, 0.0, 0.0]), _NOWHERE, np.array([1.0, 0, 0, 0]))
-        )
+        self._renderer.set_platform(pose_from_state(np.zeros(STATE_SIZE), None))
         self._cache: dict[tuple, Sprite] = {}
 
     def __call__(self, attitude, colour=None, tint: float = 0.85) -> Sprite:
