@@ -164,7 +164,7 @@ def test_drawn_vehicles_are_those_of_the_ranges(results):
     masses = {
         row["value"] for row in results.study.facts if row["of"].startswith("drawn") and row["name"] == "mass"
     }
-    assert len(masses) == 6
+    assert len(masses) == 6 and set(results.flights["drawn_mass"].dropna()) == masses
 
 
 def test_the_command_over_vehicles_writes_a_whole_folder(tmp_path, capsys):
