@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import math
+import shlex
+import sys
 import threading
 import tomllib
 from collections.abc import Callable, Mapping
@@ -49,7 +51,39 @@ class Words:
         return Section(key, entry["title"], entry["text"].format(**filling), claims, **fields)
 
 
-def measured(work: Mapping[str, Callable[[], Section]]) -> tuple[list[Section], dict[str, bytes]]:
+def check(
+    out: Path, name: str, measurements: Mapping[str, Callable[[], Section]], *, title: str, lead: str
+) -> int:
+    """Measure all claims; write NAME.html, NAME.json and the figures into the new folder `out`.
+
+    Prints the claims that do not hold. Returns the exit code, which is 1 if there are any.
+    """
+    sections, images = _measured(measurements)
+    claims = [claim for section in sections for claim in section.claims]
+    failed = [claim for claim in claims if not claim.passed]
+    run, versions = shlex.join(["landing-eval", *sys.argv[1:]]), runs.versions()
+    record = {
+        "command": run,
+        "versions": versions,
+        "failed": [claim.name for claim in failed],
+        "sections": {section.key: section.record() for section in sections},
+    }
+    with runs.staged_run(out) as folder:
+        for file, image in images.items():
+            storage.write_bytes(folder / file, image)
+        storage.write_json(folder / f"{name}.json", record)
+        page = of_sections(sections, images, title=title, lead=lead, run=run, versions=versions)
+        storage.write_text(folder / f"{name}.html", page)
+    for claim in failed:
+        found = f"{number(claim.measured)} {claim.unit}" if math.isfinite(claim.measured) else "not a number"
+        say(f"not met: {claim.name}: {found}, tolerance {claim.tolerance}")
+    say(f"{len(claims) - len(failed)} of {len(claims)} claims hold. The page is {out / f'{name}.html'}.")
+    return 1 if failed else 0
+
+
+def _measured(
+    measurements: Mapping[str, Callable[[], Section]],
+) -> tuple[list[Section], dict[str, bytes]]:
     """Return the section of every measurement, in their order, and the figures as PNG files by name.
 
     Two are measured and drawn at a time: most of their time is the engine's, which runs without the
@@ -57,8 +91,8 @@ def measured(work: Mapping[str, Callable[[], Section]]) -> tuple[list[Section], 
     """
     found: dict[str, Section] = {}
     images: dict[str, bytes] = {}
-    left, drawing = iter(work.items()), threading.Lock()
-    with stages(len(work)) as tick:
+    left, drawing = iter(measurements.items()), threading.Lock()
+    with stages(len(measurements)) as tick:
 
         def measure(_: int) -> None:
             for name, measurement in left:
@@ -71,35 +105,4 @@ def measured(work: Mapping[str, Callable[[], Section]]) -> tuple[list[Section], 
             in_threads(measure, range(2))
         finally:
             list(left)  # nothing else begins
-    return [found[name] for name in work], images
-
-
-def publish(
-    out: Path,
-    name: str,
-    sections: list[Section],
-    images: Mapping[str, bytes],
-    record: dict,
-    title: str,
-    lead: str,
-    run: str,
-) -> bool:
-    """Write NAME.html, NAME.json and the figures into the new folder `out`; return whether all claims hold.
-
-    images: the figures by file name. record: content of the JSON file, with `versions`; the sections are
-    added. run: the command. Prints the claims that do not hold.
-    """
-    record["sections"] = {section.key: section.record() for section in sections}
-    page = of_sections(sections, images, title=title, lead=lead, run=run, versions=record["versions"])
-    with runs.staged_run(out) as folder:
-        for file, image in images.items():
-            storage.write_bytes(folder / file, image)
-        storage.write_json(folder / f"{name}.json", record)
-        storage.write_text(folder / f"{name}.html", page)
-    claims = [claim for section in sections for claim in section.claims]
-    failed = [claim for claim in claims if not claim.passed]
-    for claim in failed:
-        found = f"{number(claim.measured)} {claim.unit}" if math.isfinite(claim.measured) else "not a number"
-        say(f"not met: {claim.name}: {found}, tolerance {claim.tolerance}")
-    say(f"{len(claims) - len(failed)} of {len(claims)} claims hold. The page is {out / f'{name}.html'}.")
-    return not failed
+    return [found[name] for name in measurements], images

@@ -16,24 +16,18 @@ def command(*, out: RunFolder, vehicle: VehicleFile = None) -> int:
         out: new folder for contact.html, contact.json and the figures.
         vehicle: vehicle file (TOML) or name of a shipped vehicle (default: Crazyflie 2.1).
     """
-    from inclined_landing.envs.shared import runs
     from inclined_landing.eval.truth.contact import laws
-    from inclined_landing.eval.truth.report import measured, publish
+    from inclined_landing.eval.truth.report import check
     from inclined_landing.models.parameters import load_vehicle
 
     tested = load_vehicle(vehicle)
-    sections, images = measured({name: partial(law, tested) for name, law in laws.LAWS.items()})
     spring = tested.contact_solref
     setting = f"friction {tested.contact_friction:g}, solref {spring[0]:g} s, {spring[1]:g}"
-    held = publish(
+    return check(
         out,
         "contact",
-        sections,
-        images,
-        {"versions": runs.versions()},
+        {name: partial(law, tested) for name, law in laws.LAWS.items()},
         title="Contact compared with mechanics",
         lead=f"The vehicle of this package in MuJoCo, contact setting {setting}, RK4 at 4 ms unless a line "
         "says otherwise.",
-        run="landing-eval contact",
     )
-    return 0 if held else 1

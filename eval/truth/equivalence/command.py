@@ -2,9 +2,18 @@
 
 from __future__ import annotations
 
-import time
+from collections.abc import Callable
+from typing import TYPE_CHECKING
 
 from inclined_landing.eval.base.options import Flag, RunFolder, Seed, VehicleFile
+
+if TYPE_CHECKING:
+    from inclined_landing.envs.policy import Policy
+    from inclined_landing.eval.base.claims import Section
+
+SEQUENCES, STATES = 16, 1000  # of each family and dimension; random states of a forward pass
+QUICK_SEQUENCES, QUICK_STATES = 4, 200
+QUICK_STARTS = 4  # every fourth of the frozen grid
 
 
 def command(
@@ -25,38 +34,45 @@ def command(
         quick: use fewer commands, states and starts.
     """
     from inclined_landing.envs.policy import load_policy
-    from inclined_landing.envs.shared import runs
-    from inclined_landing.eval.truth.equivalence import measured
-    from inclined_landing.eval.truth.report import publish
+    from inclined_landing.eval.truth.report import check
     from inclined_landing.models.parameters import load_vehicle
 
-    loaded = load_policy("landing", vehicle=None if vehicle is None else load_vehicle(vehicle))
-    began = time.monotonic()
-    sections, images = measured.measure(loaded, seed, quick)
-    seconds = round(time.monotonic() - began, 1)
-    claims = [c for s in sections for c in s.claims]
-    record = {
-        "command": "equivalence",
-        "policy": str(loaded.path),
-        "vehicle": str(vehicle) if vehicle is not None else "crazyflie.toml",
-        "seed": int(seed),
-        "quick": quick,
-        "seconds": seconds,
-        "versions": runs.versions(),
-        "passed": all(c.passed for c in claims),
-        "claims": len(claims),
-        "failed": [c.name for c in claims if not c.passed],
-    }
-    name = "landing-eval equivalence" + (" --quick" if quick else "")
-    passed = publish(
+    policy = load_policy("landing", vehicle=None if vehicle is None else load_vehicle(vehicle))
+    return check(
         out,
         "report",
-        sections,
-        images,
-        record,
+        measurements(policy, seed, quick),
         title="The MuJoCo vehicle and the paper's model",
         lead="The MuJoCo vehicle, with its native plugins, against the equations of Kooi and Babuska "
         "(IROS 2021).",
-        run=f"{name} · seed {seed} · policy {loaded.path.name} · {seconds:.0f} s",
     )
-    return 0 if passed else 1
+
+
+def measurements(policy: Policy, seed: int, quick: bool) -> dict[str, Callable[[], Section]]:
+    """Return functions that measure the sections of the page, in its order."""
+    from inclined_landing.envs.tasks import frozen
+    from inclined_landing.eval.truth.equivalence import (
+        check_cases,
+        closed_loop,
+        flying,
+        inconsistencies,
+        isolated,
+        levels,
+        motor,
+        twin,
+    )
+
+    v = policy.task.vehicle
+    n, states = (QUICK_SEQUENCES, QUICK_STATES) if quick else (SEQUENCES, STATES)
+    starts = frozen.clear(policy.task, frozen.grid())[:: QUICK_STARTS if quick else 1]
+    flights = flying.all_sequences(v, n, seed, policy)
+    by_label = {s.label: s for s in flights}
+    return {
+        "three levels": lambda: levels.section(v, flights, states, seed),
+        "single terms": lambda: isolated.section(v),
+        "native twin": lambda: twin.section(v, by_label["full steps, 2-D"].commands),
+        "motor function": lambda: motor.section(v, seed),
+        "closed loop": lambda: closed_loop.section(policy, starts),
+        "check cases": lambda: check_cases.section(v),
+        "inconsistencies": lambda: inconsistencies.section(v, by_label["recorded, 2-D"]),
+    }

@@ -21,11 +21,11 @@ from inclined_landing.eval.base.claims import Claim, Section, number
 from inclined_landing.eval.truth.equivalence import (
     check_cases,
     closed_loop,
+    command,
     flying,
     inconsistencies,
     isolated,
     levels,
-    measured,
     motor,
     twin,
 )
@@ -163,8 +163,8 @@ def test_command_writes_page_json_and_figures(tmp_path):
     out = tmp_path / "run"
     assert cli.main(["equivalence", "--out", str(out), "--quick", "--seed", "5"]) == 0
     record = json.loads((out / "report.json").read_text())
-    assert record["passed"] and not record["failed"], record["failed"]
-    assert record["claims"] == sum(len(s["claims"]) for s in record["sections"].values()) > 65
+    assert not record["failed"]
+    assert sum(len(s["claims"]) for s in record["sections"].values()) > 65
     page = (out / "report.html").read_text()
     images = re.findall(r'src="data:image/png;base64,([^"]+)"', page)
     files = sorted(path.name for path in out.glob("*.png"))
@@ -179,7 +179,8 @@ def test_command_writes_page_json_and_figures(tmp_path):
 def test_failing_claims_give_exit_code_1(tmp_path, capsys, monkeypatch):
     failing = Claim("water is dry", 1.0, 0.0, "m", "it is not, so this claim has to fail")
     section = Section("levels", "Levels", ["Text."], [failing])
-    monkeypatch.setattr(measured, "measure", lambda *_: ([section], {}))
+    monkeypatch.setattr(command, "measurements", lambda *_: {"levels": lambda: section})
     assert cli.main(["equivalence", "--out", str(tmp_path / "run")]) == 1
     assert "not met: water is dry: 1 m, tolerance at most 0" in capsys.readouterr().out
+    assert json.loads((tmp_path / "run" / "report.json").read_text())["failed"] == ["water is dry"]
     assert "1 of 1 claims are not met" in (tmp_path / "run" / "report.html").read_text()
