@@ -33,13 +33,13 @@ class SimulatedConnection:
     faults: tuple[Fault, ...]
     seed: int
     hang_limit: float = VIRTUAL_PATIENCE  # s of real time that a control step may take
-    confirms: bool = False  # must somebody type a word before the motors turn
+    confirms = False  # must somebody type a word before the motors turn
 
     def connect(self, k: int, plan: FlightPlan, dry: bool) -> Connected:
         """Return radio, clock and motion capture of a new vehicle."""
         seed = int(np.random.SeedSequence((self.seed, k)).generate_state(1)[0])
         world = World(self.setting, seed=seed, faults=self.faults)
-        radio = Radio(world.link, world, plan.vehicle.command_angle_limit, dry=dry)
+        radio = Radio(world, world, plan.surroundings.vehicle.command_angle_limit, dry=dry)
         radio.connect(URI)
         return radio, world, None if self.setting.lighthouse else world.view
 
@@ -50,14 +50,14 @@ class SimulatedConnection:
 class RealConnection:
     """The vehicle at `uri`. mocap: TYPE:HOST:BODY with its latency [s]; None uses the vehicle's own deck."""
 
-    hang_limit = safety.HANG_LIMIT
+    hang_limit, confirms = safety.HANG_LIMIT, True
 
-    def __init__(self, uri: str, mocap: str | None, latency: float, confirms: bool):
+    def __init__(self, uri: str, mocap: str | None, latency: float):
         try:
             import cflib.crtp
         except ModuleNotFoundError as error:
             raise UserError(not_installed(error)) from error
-        self.uri, self.confirms = uri, confirms
+        self.uri = uri
         self._clock = RealClock()
         self._capture = None if mocap is None else positions.open_capture(mocap, self._clock, latency)
         cflib.crtp.init_drivers()
@@ -70,7 +70,8 @@ class RealConnection:
             print("Put the vehicle back, switch it off and on, press Enter: ", end="", flush=True)
             if not sys.stdin.readline():
                 raise UserError("standard input is closed, so no one can confirm the vehicle's position")
-        radio = Radio(CflibLink(Crazyflie()), self._clock, plan.vehicle.command_angle_limit, dry=dry)
+        limit = plan.surroundings.vehicle.command_angle_limit
+        radio = Radio(CflibLink(Crazyflie()), self._clock, limit, dry=dry)
         radio.connect(self.uri)
         return radio, self._clock, self._capture
 

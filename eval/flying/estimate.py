@@ -27,6 +27,9 @@ from inclined_landing.models.vehicle import Vehicle
 # IMPACT [m/s]: largest change of the velocity by a touch, a flight's largest speed. IMPACT_TIME [s]: longest
 # interval between the two poses. A larger jump than their product, 12 cm, is a measurement error.
 IMPACT, IMPACT_TIME = 4.0, 0.03
+POSITION_NOISE = 1e-3  # m, standard deviation per axis: calibrated motion capture is as accurate or better
+SPEED = 1.0  # m/s, the standard deviation of the velocity before the first measurement, per axis
+GATE = 30.7  # largest normalised innovation squared: one of a million, chi-square with 3 degrees
 _NODES, _WEIGHTS = np.polynomial.legendre.leggauss(5)
 RESTART = 5.0  # s: a larger difference of clocks is a restart, such as the vehicle's overflow after 4.7 h
 HEADING_TIME = 0.5  # s, time constant of the heading's correction: gyroscopes drift over minutes
@@ -34,31 +37,18 @@ LONGEST_STEP = 0.06  # s, longest prediction step, three control periods; inputs
 TIME_CONSTANT = 2.5  # s: a false acceleration of 0.8 m/s2, a tilt error of 5 deg, then gives 2 m/s at most
 
 
-@dataclasses.dataclass(frozen=True)
-class FilterNoise:
-    """Measurement noise of the motion capture and process noise of the vehicle's acceleration.
+class KalmanFilter:
+    """Kalman filter of one flight; initialised by the first measurement.
 
-    Calibrated motion capture is accurate to a millimetre or better; 1 mm is conservative.
+    vehicle: its tilt limit allows accelerations that are taken to be uniform up to the largest. noise [m]:
+    standard deviation of a measured position, per axis.
     """
 
-    position: float = 1e-3  # standard deviation of a measured position, per axis, m
-    acceleration: float = 3.3  # of the vehicle's acceleration, per axis, m/s2
-    correlation: float = 0.18  # time after which the acceleration is forgotten, s
-    speed: float = 1.0  # of the velocity before the first measurement, per axis, m/s
-    gate: float = 30.7  # largest normalised innovation squared: one of a million, chi-square with 3 degrees
-
-    @classmethod
-    def of(cls, vehicle: Vehicle, position: float = 1e-3) -> FilterNoise:
-        """Return the noise model of a vehicle: accelerations uniform up to what its tilt limit allows."""
+    def __init__(self, vehicle: Vehicle, noise: float = POSITION_NOISE):
         largest = vehicle.environment_gravity * math.tan(vehicle.command_angle_limit)
-        return cls(position, largest / math.sqrt(3.0), vehicle.attitude_time_constant)
-
-
-class KalmanFilter:
-    """Kalman filter of one flight; initialised by the first measurement."""
-
-    def __init__(self, noise: FilterNoise):
-        self.noise = noise
+        self.acceleration = largest / math.sqrt(3.0)  # standard deviation, per axis, m/s2
+        self.correlation = vehicle.attitude_time_constant  # time after which it is forgotten, s
+        self._noise = noise
         self.time: float | None = None  # of the last measurement that was believed, s
         self.mean = np.zeros((3, 3))  # position, velocity, acceleration of x, y, z
         self.variance = np.zeros((3, 3))  # of position, velocity, acceleration, the same for all axes
@@ -69,15 +59,14 @@ class KalmanFilter:
         """Update the state with a position (3,) [m] measured at `time` [s]; return False if it is rejected.
 
         impact: a surface is near, so the velocity may have changed instantly. Positions are rejected if they
-        are not finite, not newer than the last one, or outside `FilterNoise.gate`.
+        are not finite, not newer than the last one, or outside GATE.
         """
         position = np.asarray(position, float)
         if not (math.isfinite(time) and np.isfinite(position).all()):
             return False
-        n = self.noise
         if self.time is None:
             self.mean[0] = position
-            self.variance = np.diag([n.position**2, n.speed**2, n.acceleration**2])
+            self.variance = np.diag([self._noise**2, SPEED**2, self.acceleration**2])
             self.time = time
             return True
         if time <= self.time:
@@ -85,23 +74,23 @@ class KalmanFilter:
         # Innovation y = z - H x, S = H P H' + R, NIS = y'y / S, K = P H' / S, H = (1, 0, 0) for each axis.
         mean, variance = self._ahead(time - self.time)
         innovation = position - mean[0]
-        expected = variance[0, 0] + n.position**2
+        expected = variance[0, 0] + self._noise**2
         self.normalised_innovation_squared = float(innovation @ innovation / expected)
-        if not self.normalised_innovation_squared <= n.gate:
-            reach = IMPACT * min(time - self.time, IMPACT_TIME) + 5.0 * n.position
+        if not self.normalised_innovation_squared <= GATE:
+            reach = IMPACT * min(time - self.time, IMPACT_TIME) + 5.0 * self._noise
             if not (impact and math.sqrt(innovation @ innovation) <= reach):
                 return False
             # Contact adds an unknown change w of velocity within dt: P + w^2 (dt, 1, 0)' (dt, 1, 0).
             hit = np.array([time - self.time, 1.0, 0.0]) * IMPACT
             variance = variance + np.outer(hit, hit)
             self.contact_updates += 1
-            expected = variance[0, 0] + n.position**2
+            expected = variance[0, 0] + self._noise**2
         gain = variance[:, 0] / expected
         reduction = np.eye(3)
         reduction[:, 0] -= gain
         self.mean = mean + np.outer(gain, innovation)
         # Joseph's form, which stays symmetric and positive: P = (I - K H) P (I - K H)' + K R K'.
-        self.variance = reduction @ variance @ reduction.T + n.position**2 * np.outer(gain, gain)
+        self.variance = reduction @ variance @ reduction.T + self._noise**2 * np.outer(gain, gain)
         self.time = time
         return True
 
@@ -109,13 +98,13 @@ class KalmanFilter:
         """Return position (3,) [m] and velocity (3,) [m/s] at `time` [s]; NaN before any measurement."""
         if self.time is None:
             return np.full(3, np.nan), np.full(3, np.nan)
-        mean = transition(max(0.0, time - self.time), self.noise.correlation) @ self.mean
+        mean = transition(max(0.0, time - self.time), self.correlation) @ self.mean
         return mean[0], mean[1]
 
     def _ahead(self, dt: float) -> tuple[np.ndarray, np.ndarray]:
         """Return mean and covariance (3, 3) propagated by dt [s]."""
-        f = transition(dt, self.noise.correlation)
-        grown = process_noise(dt, self.noise.acceleration, self.noise.correlation)
+        f = transition(dt, self.correlation)
+        grown = process_noise(dt, self.acceleration, self.correlation)
         return f @ self.mean, f @ self.variance @ f.T + grown
 
 
@@ -199,12 +188,13 @@ class StateEstimate:
 class Estimator:
     """State estimator that fuses motion capture poses and the vehicle's attitude log.
 
+    noise [m]: that of the positions, see `KalmanFilter`.
     heading [rad]: direction of the nose when the first attitude arrives; used while no pose has an attitude.
     None: the vehicle's own heading is relative to the arena.
     """
 
-    def __init__(self, noise: FilterNoise, heading: float | None = 0.0):
-        self.filter = KalmanFilter(noise)
+    def __init__(self, vehicle: Vehicle, noise: float = POSITION_NOISE, heading: float | None = 0.0):
+        self.filter = KalmanFilter(vehicle, noise)
         self.last_pose: MeasuredPose | None = None  # the last pose, believed or not
         self.attitude: Attitude | None = None
         self.heading_measured = False  # does motion capture show it

@@ -30,10 +30,9 @@ from inclined_landing.models.base.errors import UserError, shown
 from inclined_landing.models.parameters import load_vehicle
 
 if TYPE_CHECKING:
-    from inclined_landing.envs.policy import Policy
     from inclined_landing.eval.flying.connection import Connection
     from inclined_landing.eval.flying.flight_log import FlightLogWriter
-    from inclined_landing.eval.flying.plan import PlannedFlight
+    from inclined_landing.eval.flying.plan import FlightPlan
     from inclined_landing.eval.flying.report import FlightReport
 
 FaultNames = Annotated[tuple[str, ...], tyro.conf.UseAppendAction, tyro.conf.arg(metavar="NAME[@WHEN]")]
@@ -63,8 +62,10 @@ class FlightOptions:
     plan: VehicleFile = None
     no_platform: Annotated[Flag, _PLANNED] = False
 
-    def load(self) -> tuple[Policy | PlannedFlight, Policy, list[tuple[float, float]]]:
-        """Return the planned flight or landing, the set-point policy and the starts (x, z) [m].
+    def plans(self, stand: float = 0.0, heading: float = 0.0) -> list[FlightPlan]:
+        """Return the planned flight, or a landing from each start, of a vehicle that stands so high [m].
+
+        heading [rad]: that of the standing vehicle.
 
         Raises UserError for a policy for another task or slope, and for a planned flight that cannot be flown
         in the arena.
@@ -72,7 +73,8 @@ class FlightOptions:
         from inclined_landing.envs.policy import load_policy, trained_task
         from inclined_landing.envs.tasks import make_task
         from inclined_landing.envs.tasks.frozen import PAPER_STARTS
-        from inclined_landing.eval.flying.plan import read_planned
+        from inclined_landing.eval.flying.plan import FlightPlan, read_planned
+        from inclined_landing.eval.flying.surroundings import Surroundings
         from inclined_landing.eval.pictures.starts import parse_starts
 
         room = load_vehicle(self.arena) if self.arena is not None else load_vehicle()
@@ -81,9 +83,9 @@ class FlightOptions:
 
         hover = load_policy("setpoint", "setpoint", vehicle=room)
         if self.plan is not None:
-            planned = read_planned(self.plan, room, slope, not self.no_platform)
-            x, _, z = planned.reference.position[0]
-            return planned, hover, [(float(x), float(z))]
+            around = Surroundings(room, slope, not self.no_platform)
+            reference = read_planned(self.plan, around)
+            return [FlightPlan.along(reference, hover, around, stand=stand, heading=heading)]
         name = self.policy or "landing"
         task = trained_task(name)
         if task not in ("landing", "touchdown"):
@@ -98,7 +100,9 @@ class FlightOptions:
         landing = load_policy(name, landing.task)  # refuses another slope than the policy's
         plane = make_task("landing", room, inclination=slope)
         starts = parse_starts(self.start, plane) or list(PAPER_STARTS)
-        return landing, hover, [(point[0], point[1]) for point in starts]
+        return [
+            FlightPlan.landing(landing, hover, (x, z), stand=stand, heading=heading) for x, z, *_ in starts
+        ]
 
 
 @dataclasses.dataclass(frozen=True)
@@ -112,7 +116,6 @@ class VehicleOptions:
         position: source of positions, motion capture or the vehicle's own Lighthouse deck.
         stand: height of the vehicle's stand in metres.
         heading: direction of the nose in degrees from x, if motion capture shows no attitude.
-        yes: skip the confirmation; only for a simulator, at --uri udp://...
     """
 
     uri: Annotated[str | None, tyro.conf.arg(metavar="URI"), _REAL] = None
@@ -121,7 +124,6 @@ class VehicleOptions:
     position: Literal["mocap", "onboard"] = "mocap"
     stand: Annotated[float, Meta(ge=0.0, le=2.0), tyro.conf.arg(metavar="M"), _REAL] = 0.0
     heading: Annotated[float, Meta(ge=-360, le=360), tyro.conf.arg(metavar="DEG"), _REAL, _BY_CAMERAS] = 0.0
-    yes: Flag = False
 
     def connection(self) -> Connection:
         """Return the connection to the vehicle. Raises UserError if none is stated."""
@@ -134,11 +136,7 @@ class VehicleOptions:
         from inclined_landing.eval.flying.vehicle import check_uri
 
         check_uri(self.uri)
-        if self.yes and not self.uri.startswith("udp://"):
-            raise UserError(
-                "--yes is only for a simulator (--uri udp://...); a real flight is confirmed by typing a word"
-            )
-        return RealConnection(self.uri, self.mocap, self.mocap_latency, confirms=not self.yes)
+        return RealConnection(self.uri, self.mocap, self.mocap_latency)
 
 
 @dataclasses.dataclass(frozen=True)
@@ -203,18 +201,18 @@ def command(
     from inclined_landing.envs.shared.tables import say
     from inclined_landing.eval.flying.connection import checked_pilot
     from inclined_landing.eval.flying.flight_log import FlightLogWriter
-    from inclined_landing.eval.flying.plan import FlightPlan, PlannedFlight
     from inclined_landing.eval.flying.report import describe, describe_all, summary
 
     if flight.plan is not None and flight.policy is not None:
         raise UserError("--plan is flown instead of a landing; name no policy with --plan")
-    landing, setpoint, starts = flight.load()
+    plans = flight.plans(real.stand, math.radians(real.heading))
     onboard = real.position == "onboard"
     connection = simulation.connection(flight, onboard) if simulation.simulated else real.connection()
+    policy = plans[0].final.policy  # None of a planned flight
     logging.getLogger("cflib").setLevel(logging.CRITICAL)  # its messages are reported in a sentence
     description = {
         "command": "fly",
-        "policy": None if isinstance(landing, PlannedFlight) else str(landing.path),
+        "policy": policy and str(policy.path),
         "plan": None if flight.plan is None else str(flight.plan),
         "simulated": simulation.simulated,
         "position": real.position,
@@ -225,10 +223,9 @@ def command(
     reports: list[FlightReport] = []
     with runs.owned(folder):
         for k in range(flights):
-            heading = math.radians(real.heading)
-            plan = FlightPlan(landing, setpoint, starts[k % len(starts)], real.stand, heading)
-            what = "landing" if flight.plan is None else "plan"
-            print(f"flight {k + 1} of {flights}, {what} from x {plan.start[0]:z.4g}, z {plan.start[1]:.4g} m")
+            plan = plans[k % len(plans)]
+            x, _, z = plan.start_point
+            print(f"flight {k + 1} of {flights}, {plan.final.phase.value} from x {x:z.4g}, z {z:.4g} m")
             log = None if dry_run else FlightLogWriter(folder / f"flight_{k + 1:02d}.csv")
             with log or contextlib.nullcontext(), checked_pilot(connection, k, plan, dry_run) as pilot:
                 report = pilot.fly(log)
@@ -243,7 +240,7 @@ def command(
                 return 1
     if dry_run:
         return 0
-    said = describe_all(reports, "plan" if isinstance(landing, PlannedFlight) else landing.task.name)
+    said = describe_all(reports, policy.task.name if policy else "plan")
     say(f"{said[0].upper()}{said[1:]}; the logs are in {folder}.")
     return 0 if all(report.succeeded for report in reports) else 3
 

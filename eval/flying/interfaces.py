@@ -1,15 +1,15 @@
-"""The interfaces between a pilot and its vehicle: a clock, a motion capture and a radio link.
+"""The interfaces between a pilot and its vehicle: a clock and a motion capture.
 
-Each has two implementations, whose methods have the meaning stated here: the real clock sleeps, real cameras
-stream and cflib sends; the simulated clock advances the simulated vehicle, which provides motion capture and
-link.
+Each has two implementations, whose methods have the meaning stated here: the real clock sleeps and real
+cameras stream; the simulated clock advances the simulated vehicle, which its cameras see. The radio link is
+`CflibLink`, or the simulated `World` with the same methods.
 """
 
 from __future__ import annotations
 
 import dataclasses
 import time
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Mapping
 from typing import Protocol
 
 import numpy as np
@@ -59,46 +59,3 @@ class MotionCapture(Protocol):
 
 
 Arrived = Callable[[int, Mapping[str, float]], None]  # called with the vehicle's time [ms] and values by name
-
-
-class Link(Protocol):
-    """The radio link to one vehicle."""
-
-    connected: bool
-    lost: str | None  # why, once it is
-
-    def open(self, uri: str) -> None:
-        """Begin to connect to a vehicle."""
-        ...
-
-    def parameter(self, name: str) -> float:
-        """Return a parameter of the firmware. Raises KeyError for firmware without it."""
-        ...
-
-    def log(self, name: str, period: int, variables: Sequence[str], arrived: Arrived) -> None:
-        """Log variables every `period` [ms]. Raises KeyError for firmware without one of them."""
-        ...
-
-    def arm(self) -> None:
-        """Request arming."""
-        ...
-
-    def setpoint(self, roll: float, pitch: float, yaw_rate: float, thrust: int) -> None:
-        """Send a set-point in the signs of cflib's `send_setpoint` [deg, deg, deg/s, 0 to 65535]."""
-        ...
-
-    def notice(self) -> None:
-        """Feed the firmware's emergency watchdog, which runs from the first notice on."""
-        ...
-
-    def stop(self) -> None:
-        """Send the set-point that stops the motors."""
-        ...
-
-    def emergency_stop(self) -> None:
-        """Stop the motors and lock the vehicle."""
-        ...
-
-    def close(self) -> None:
-        """End the logs and the connection; ignores errors."""
-        ...

@@ -24,16 +24,16 @@ from inclined_landing.envs.hover import HAND_OVER_SPEED, HAND_OVER_TIME, TOLERAN
 from inclined_landing.envs.tasks.touchdown import HOLD_STEPS, REST_SPEED
 from inclined_landing.eval.flying import frames, safety
 from inclined_landing.eval.flying.estimate import (
+    POSITION_NOISE,
     Attitude,
     ConsistencyMonitor,
     Estimator,
-    FilterNoise,
     StateEstimate,
 )
 from inclined_landing.eval.flying.flight_log import FlightLogWriter
 from inclined_landing.eval.flying.interfaces import FlightClock, MeasuredPose, MotionCapture
-from inclined_landing.eval.flying.plan import FlightPlan, PlannedFlight, PlanTracking
-from inclined_landing.eval.flying.policies import InvalidAction, PolicyLanding, SetpointFollower
+from inclined_landing.eval.flying.plan import FlightPlan
+from inclined_landing.eval.flying.policies import InvalidAction, SetpointFollower
 from inclined_landing.eval.flying.positions import NOISE, OnboardPosition
 from inclined_landing.eval.flying.preflight import RECORDING_TIME, Check, preflight_checks
 from inclined_landing.eval.flying.report import FlightReport
@@ -73,7 +73,7 @@ class Pilot:
         guarded: Callable[[], bool] = lambda: True,
     ):
         self.radio, self.clock, self.mocap, self.plan = radio, clock, mocap, plan
-        self.vehicle, self.surroundings = plan.vehicle, plan.surroundings
+        self.surroundings, self.vehicle = plan.surroundings, plan.surroundings.vehicle
         self.phase = Phase.APPROACH
         self.report = FlightReport("")
         self.home: np.ndarray | None = None
@@ -81,16 +81,12 @@ class Pilot:
         self._log: FlightLogWriter | None = None
         onboard = isinstance(mocap, OnboardPosition)
         self._source = "onboard position (Lighthouse deck)" if onboard else "motion capture"
-        noise = FilterNoise.of(self.vehicle, NOISE) if onboard else FilterNoise.of(self.vehicle)
-        self._estimator = Estimator(noise, None if onboard else plan.heading)
+        noise, heading = (NOISE, None) if onboard else (POSITION_NOISE, plan.heading)
+        self._estimator = Estimator(self.vehicle, noise, heading)
         self._monitor = safety.SafetyMonitor(self.vehicle)
         self._consistency = ConsistencyMonitor(self.vehicle.environment_gravity)
         self._follower = SetpointFollower(plan.setpoint)
-        self._final: PolicyLanding | PlanTracking = (
-            PlanTracking(plan.landing)
-            if isinstance(plan.landing, PlannedFlight)
-            else PolicyLanding(plan.landing, self._follower)
-        )
+        self._final = plan.final
         self._period = self.vehicle.command_control_period
         self._voltage, self._locked = math.nan, False
         self._pose_time = -math.inf
@@ -306,6 +302,8 @@ class Pilot:
             self._print(f"{step}; setting the vehicle down")
             self._set_down(estimate)
             return self._retreat(state)
+        if self._final.is_planar:
+            step[ROLL_COMMAND] = self._follower.roll_command_to_hold(state, 0.0)
         if self.phase is Phase.PLAN:
             self.report.astray = max(self.report.astray or 0.0, self._final.astray)
         return step
@@ -373,7 +371,6 @@ class Pilot:
         if not peaceful:
             self.radio.emergency_stop()
         with contextlib.suppress(Exception):
-            self.report.seconds = self.clock.now() - self._began
             self._log_motors_off()
 
     def _log_attitude(self, attitude: Attitude) -> None:
@@ -401,7 +398,6 @@ class Pilot:
             platform = self.surroundings.distances(estimate.state[None])[0, 0]
             leaning = abs(estimate.tilt - abs(self.surroundings.inclination))
             upright = not leaning > UPRIGHT  # NaN: no attitude
-            self.report.overturned = estimate.tilt > math.pi / 2
             self.report.rests = bool(self._resting_time > 0.0 and platform < 2 * LIFT_OFF and upright)
 
     # --- what is heard -----------------------------------------------------------------------------

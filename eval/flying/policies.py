@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import math
+
 import numpy as np
 
 from inclined_landing.envs.history import History
@@ -11,7 +13,9 @@ from inclined_landing.envs.tasks import Setpoint, StepContext
 from inclined_landing.envs.tasks.base import hover_states
 from inclined_landing.envs.tasks.touchdown import HOLD_STEPS, IDLE_ACTION
 from inclined_landing.eval.flying.safety import Phase
+from inclined_landing.eval.flying.tracking import Tracker, Trajectory
 from inclined_landing.models.attitude import PWM, ROLL_COMMAND, YAW, X, Y, Z
+from inclined_landing.models.vehicle import Vehicle
 
 
 class InvalidAction(Exception):
@@ -81,9 +85,10 @@ class PolicyLanding:
     turns = False  # are heading and yaw rate the pilot's, and commands of heading 0
     astray = 0.0
 
-    def __init__(self, policy: Policy, follower: SetpointFollower):
+    def __init__(self, policy: Policy):
         self.policy, self._task = policy, policy.task
-        self._runner, self._follower = PolicyRunner(policy), follower
+        self.is_planar = self._task.is_planar  # does the pilot hold y
+        self._runner = PolicyRunner(policy)
         self._idle_steps = 0  # control steps in a row
         self.limit = self._task.max_steps * self._task.vehicle.command_control_period  # s that it may take
 
@@ -102,8 +107,6 @@ class PolicyLanding:
         if size is not None and self._task.in_goal(state[None], size, self._runner.platform)[0]:
             return "goal box"
         action, command = self._runner.act(state)
-        if self._task.is_planar:
-            command[ROLL_COMMAND] = self._follower.roll_command_to_hold(state, 0.0)
         self._idle_steps = self._idle_steps + 1 if command[PWM] == 0.0 and action[0] <= IDLE_ACTION else 0
         if size is None and self._idle_steps >= HOLD_STEPS and resting:
             return "at rest"
@@ -112,3 +115,36 @@ class PolicyLanding:
     def heading_error(self, since: float, yaw: float) -> float:
         """Return the heading error [rad]."""
         return yaw
+
+
+class PlanTracking:
+    """A planned flight, tracked by the controller that the plan was simulated with; see `PolicyLanding`."""
+
+    phase = Phase.PLAN
+    turns = True
+    is_planar = False
+    limit = math.inf  # it ends by itself
+    policy = None
+
+    def __init__(self, reference: Trajectory, vehicle: Vehicle):
+        self.reference, self._vehicle = reference, vehicle
+        self.reset()
+
+    def reset(self) -> None:
+        """Reset the tracker."""
+        self._tracker, self._before = Tracker(self.reference, self._vehicle), 0.0
+        self.astray = 0.0  # m off the reference now
+
+    def step(self, since: float, state: np.ndarray, resting: bool) -> np.ndarray | str:
+        """Return the command (4,), in the vehicle's heading, at a state (13,); the outcome at the end."""
+        reference = self.reference
+        if since > reference.seconds:
+            return "plan flown"
+        self.astray = float(np.linalg.norm(state[X : Z + 1] - reference.position[reference.row(since)]))
+        command = self._tracker.command(since, state[None], since - self._before)[0]
+        self._before = since
+        return command
+
+    def heading_error(self, since: float, yaw: float) -> float:
+        """Return the angle by which a heading [rad] lags behind the plan's."""
+        return float(self._tracker.heading_error(since, np.array([yaw]))[0])

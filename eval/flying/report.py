@@ -11,6 +11,7 @@ import numpy as np
 
 from inclined_landing.eval.flying.plan import FlightPlan
 from inclined_landing.eval.flying.safety import Cause
+from inclined_landing.models.attitude import X, Z
 
 
 @dataclasses.dataclass
@@ -27,8 +28,6 @@ class FlightReport:
     touched: bool = False  # before that in the landing, hard enough to be seen in the positions
     final: np.ndarray | None = None  # (3,) last position, m
     rests: bool | None = None  # does it lie still and upright on the platform, by its last pose
-    overturned: bool | None = None  # does it lie on its back, by its last attitude
-    seconds: float = 0.0  # from the first command to motors off
     astray: float | None = None  # m, the farthest that it was off its plan
     unguarded: bool = False  # was the watchdog process gone
 
@@ -48,7 +47,8 @@ def summary(report: FlightReport, plan: FlightPlan, log: Path | None) -> dict[st
     fields = {field.name: getattr(report, field.name) for field in dataclasses.fields(report)}
     for name in ("cause", "retreat"):
         fields[name] = fields[name] and fields[name].name
-    return {**fields, "landed": report.landed, "start_wanted": list(plan.start), "log": log and log.name}
+    start = plan.start_point[[X, Z]].tolist()
+    return {**fields, "landed": report.landed, "start_wanted": start, "log": log and log.name}
 
 
 def describe(report: FlightReport) -> str:
@@ -67,8 +67,7 @@ def describe(report: FlightReport) -> str:
         )
     if report.cause is None:
         return report.outcome
-    lies = "; it lies on its back" if report.overturned else ""
-    return f"ended early: {report.cause.name} ({report.cause.when}){lies}"
+    return f"ended early: {report.cause.name} ({report.cause.when})"
 
 
 def describe_all(reports: Sequence[FlightReport], purpose: str) -> str:

@@ -8,14 +8,17 @@ import dataclasses
 import re
 import socket
 from collections.abc import Mapping, Sequence
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
 from inclined_landing.eval.flying import frames, positions
 from inclined_landing.eval.flying.estimate import Attitude, ClockOffset
-from inclined_landing.eval.flying.interfaces import Arrived, FlightClock, Link
+from inclined_landing.eval.flying.interfaces import Arrived, FlightClock
 from inclined_landing.models.base.errors import UserError, shown
+
+if TYPE_CHECKING:
+    from inclined_landing.eval.flying.simulated.world import World
 
 CONNECTING = 30.0  # s that a connection may take: tables of contents come over the radio
 ATTITUDE_PERIOD = 10  # ms: 100 Hz. cflib asks in steps of 10 ms; the paper's 80 Hz lie between two of them
@@ -74,12 +77,12 @@ class Status:
     locked: bool  # by its supervisor; False where the firmware does not tell
 
 
-class CflibLink(Link):
-    """cflib's `Crazyflie` as a `Link`. Its callbacks run in cflib's own thread."""
+class CflibLink:
+    """The radio link to one vehicle by cflib's `Crazyflie`. Its callbacks run in cflib's own thread."""
 
     def __init__(self, crazyflie: Any):
         self.crazyflie, self.connected = crazyflie, False
-        self.lost: str | None = None
+        self.lost: str | None = None  # why, once it is
         self._logs: list[Any] = []
         for caller, react in (
             (crazyflie.connected, self._is_connected),
@@ -90,12 +93,15 @@ class CflibLink(Link):
             caller.add_callback(react)
 
     def open(self, uri: str) -> None:
+        """Begin to connect to a vehicle."""
         self.crazyflie.open_link(uri)
 
     def parameter(self, name: str) -> float:
+        """Return a parameter of the firmware. Raises KeyError for firmware without it."""
         return float(self.crazyflie.param.get_value(name))
 
     def log(self, name: str, period: int, variables: Sequence[str], arrived: Arrived) -> None:
+        """Log variables every `period` [ms]. Raises KeyError for firmware without one of them."""
         from cflib.crazyflie.log import LogConfig
 
         config = LogConfig(name, period)
@@ -107,21 +113,27 @@ class CflibLink(Link):
         self._logs.append(config)
 
     def arm(self) -> None:
+        """Request arming."""
         self.crazyflie.supervisor.send_arming_request(True)
 
     def setpoint(self, roll: float, pitch: float, yaw_rate: float, thrust: int) -> None:
+        """Send a set-point in the signs of cflib's `send_setpoint` [deg, deg, deg/s, 0 to 65535]."""
         self.crazyflie.commander.send_setpoint(roll, pitch, yaw_rate, thrust)
 
     def notice(self) -> None:
+        """Feed the firmware's emergency watchdog, which runs from the first notice on."""
         self.crazyflie.supervisor.send_emergency_stop_watchdog()
 
     def stop(self) -> None:
+        """Send the set-point that stops the motors."""
         self.crazyflie.commander.send_stop_setpoint()
 
     def emergency_stop(self) -> None:
+        """Stop the motors and lock the vehicle."""
         self.crazyflie.supervisor.send_emergency_stop()
 
     def close(self) -> None:
+        """End the logs and the connection; ignores errors."""
         for log in self._logs:
             with contextlib.suppress(Exception):
                 log.stop()
@@ -145,7 +157,7 @@ class Radio:
     dry: nothing that moves a motor is sent.
     """
 
-    def __init__(self, link: Link, clock: FlightClock, angle_limit: float, *, dry: bool = False):
+    def __init__(self, link: CflibLink | World, clock: FlightClock, angle_limit: float, *, dry: bool = False):
         self.link, self.clock, self.dry = link, clock, dry
         self.angle_limit = angle_limit  # rad
         self._received: collections.deque[Attitude | Status] = collections.deque(maxlen=10_000)

@@ -40,7 +40,7 @@ LONG = {
     "benchmark": r"This machine simulates [\d,]+ control steps per second .*\.",
     "curves {place}/run --out {place}/a.png": r"The learning curves are in .*a\.png\.",
     "demo --out {place}/out": rf"goal box in 53 of 53 flights {SHARE}; open .*html in .*\.",
-    "fly --simulated --yes --out {place}/out": r"reached the goal box .* slope; the logs are in .*out\.",
+    "fly --simulated --out {place}/out": r"reached the goal box .* slope; the logs are in .*out\.",
     "gap {place}/20/fit/*.csv --out {place}/out": r"Thrust over mass .*rotor drag.*report.html\.",
     "identify {place}/20/fit/*.csv --out {place}/out": r"\d+ of \d+ constants differ.*vehicle.toml\.",
     "success landing": rf"landing reached the goal box in 251 of 251 flights {SHARE}\.",

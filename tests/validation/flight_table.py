@@ -29,6 +29,7 @@ from inclined_landing.eval.flying import safety
 from inclined_landing.eval.flying.fly import FlightOptions
 from inclined_landing.eval.flying.pilot import Pilot
 from inclined_landing.eval.flying.plan import FlightPlan
+from inclined_landing.eval.flying.policies import PolicyLanding
 from inclined_landing.eval.flying.report import FlightReport
 from inclined_landing.eval.flying.simulated import firmware
 from inclined_landing.eval.flying.simulated.body import named_vehicle
@@ -82,7 +83,7 @@ def command(
     if not policies or not vehicles:
         raise UserError("name at least one policy and one vehicle")
     settings = {name: Setting(named_vehicle(name)) for name in vehicles}
-    plans = {name: _plans(name) for name in policies}
+    plans = {name: FlightOptions(name).plans() for name in policies}
     if faults:
         jobs = case_flights(plans[policies[0]], settings[vehicles[0]], flights, seed)
         groups = list(zip([partial(fault_row, case) for case in CASES], jobs))
@@ -111,12 +112,6 @@ def command(
             storage.write_json(folder / "results.json", asked | {"rows": rows, "flights": each})
         print(out)
     return 3 if faults and any(row["safe"]["count"] < row["safe"]["of"] for row in rows) else 0
-
-
-def _plans(policy: str) -> list[FlightPlan]:
-    """Return the plans of a policy, one for each of the paper's starts."""
-    landing, hover, starts = FlightOptions(policy).load()
-    return [FlightPlan(landing, hover, start) for start in starts]
 
 
 def start_flights(plans: Sequence[FlightPlan], setting: Setting, flights: int, seed: int) -> list[tuple]:
@@ -240,12 +235,13 @@ def fly_once(plan: FlightPlan, setting: Setting, seed: int, case: Case | None = 
         if line.startswith("hand-over") and fault and in_landing:
             world.schedule(world.time + after, lambda: world.begin(fault))
 
-    calls = 1 + round(after / plan.landing.task.vehicle.command_control_period)
+    calls = 1 + round(after / plan.final.policy.task.vehicle.command_control_period)
     if name == "policy-nan":
-        plan = dataclasses.replace(plan, landing=_failing(plan.landing, calls, happen))
+        final = PolicyLanding(_failing(plan.final.policy, calls, happen))
+        plan = dataclasses.replace(plan, final=final)
     elif name == "setpoint-nan":
         plan = dataclasses.replace(plan, setpoint=_failing(plan.setpoint, calls, happen))
-    radio = Radio(world.link, world, plan.landing.task.vehicle.command_angle_limit)
+    radio = Radio(world, world, plan.final.policy.task.vehicle.command_angle_limit)
     try:
         radio.connect(URI)
         pilot = Pilot(radio, world, world.view, plan, say=say, hang_limit=_PATIENCE)
@@ -277,7 +273,7 @@ def _plain(report: FlightReport) -> dict:
 
 def truth_of(trace: Trace, plan: FlightPlan) -> Truth:
     """Return what happened, from every engine step."""
-    task, v = plan.landing.task, plan.landing.task.vehicle
+    task, v = plan.final.policy.task, plan.final.policy.task.vehicle
     state, time = trace.state, trace.time
     size = task.goal_size if task.goal_size is not None else 0.0
     inside = np.flatnonzero(task.in_goal(state, size)) if size else []

@@ -8,7 +8,6 @@ import pytest
 
 from inclined_landing.envs.tasks.base import hover_states
 from inclined_landing.eval.flying.fly import FlightOptions
-from inclined_landing.eval.flying.plan import FlightPlan
 from inclined_landing.eval.flying.simulated import firmware
 from inclined_landing.eval.flying.simulated.firmware import State
 from inclined_landing.eval.flying.simulated.world import Setting, Trace
@@ -20,8 +19,7 @@ from tests.validation.flight_table import Flown, fly_once, truth_of
 
 @pytest.fixture(scope="module")
 def plan():
-    landing, hover, starts = FlightOptions("landing").load()
-    return FlightPlan(landing, hover, starts[2])
+    return FlightOptions("landing").plans()[2]
 
 
 def trace(states, touching, running):
@@ -33,7 +31,7 @@ def trace(states, touching, running):
     command = np.zeros((m, 4))
     command[:, 0] = 40000.0 * np.asarray(running)
     time = 0.01 * np.arange(m)
-    return Trace(time, state, np.asarray(touching, bool), command, np.full(m, 4.0), np.full(m, State.FLYING))
+    return Trace(time, state, np.asarray(touching, bool), command, np.full(m, State.FLYING))
 
 
 def touched(m, surface=None, since=0):
@@ -47,7 +45,7 @@ def touched(m, surface=None, since=0):
 
 
 def test_a_landing_is_seen_as_it_was(plan):
-    task, m = plan.landing.task, 200
+    task, m = plan.final.policy.task, 200
     x, z = task.goal_position
     way = np.linspace(1.0, 0.0, 100)
     states = {
@@ -67,7 +65,7 @@ def test_a_landing_is_seen_as_it_was(plan):
 
 
 def test_moving_flying_and_being_outside_are_seen(plan):
-    m, v = 100, plan.landing.task.vehicle
+    m, v = 100, plan.final.policy.task.vehicle
     moving = truth_of(trace({VX: np.full(m, 0.1), Z: 0.02}, touched(m, 2), np.zeros(m)), plan)
     assert moving.rests == ""
     hovering = truth_of(trace({Z: 1.0}, touched(m), np.ones(m)), plan)
@@ -95,7 +93,7 @@ def test_a_fault_is_safe_in_time_at_rest_and_inside(plan):
 
 def test_the_limit_of_a_vehicle_left_alone_is_what_commands_can_do(plan):
     """From hover at each of the starts: 0.5 s of full thrust and lean, then full thrust, then none."""
-    v = plan.landing.task.vehicle
+    v = plan.final.policy.task.vehicle
     starts = FlightOptions("landing").load()[2]
     plant, farthest = make_plant("mujoco", 2 * len(starts), v, threads=1), 0.0
     plant.set_platform(np.arange(plant.n), 0.0, False)

@@ -98,14 +98,9 @@ class Firmware:
         """Receive the generic "stop" set-point."""
         self.setpoint, self._commanded = FirmwareSetpoint(time=time), True
 
-    def request_arming(self, arm: bool) -> bool:
-        """Arm or disarm; return whether it was granted."""
-        if arm == self.armed:
-            return True
-        if arm and self.state is not State.CHECKS_PASSED:
-            return False
-        self.armed = arm
-        return True
+    def request_arming(self) -> None:
+        """Arm, unless the checks have not passed."""
+        self.armed = self.armed or self.state is State.CHECKS_PASSED
 
     def stop_now(self) -> None:
         """Do an emergency stop; only a restart ends it."""

@@ -5,7 +5,7 @@ logs) takes no time and loses no packets. All random numbers come from one seed,
 for bit if the pilot does.
 
     world = World(seed=7)
-    radio = Radio(world.link, world, angle_limit=0.5)
+    radio = Radio(world, world, angle_limit=0.5)
     radio.connect(URI)
     radio.arm()
     world.wait_until(world.now() + 0.02)
@@ -22,7 +22,7 @@ from collections.abc import Callable, Sequence
 
 import numpy as np
 
-from inclined_landing.eval.flying.interfaces import Arrived, FlightClock, Link
+from inclined_landing.eval.flying.interfaces import Arrived, FlightClock
 from inclined_landing.eval.flying.positions import LIGHTHOUSE
 from inclined_landing.eval.flying.simulated.body import FLOOR, Body
 from inclined_landing.eval.flying.simulated.faults import (
@@ -71,7 +71,6 @@ class Trace:
     state: np.ndarray  # (T, 13), columns of `models.attitude`
     touching: np.ndarray  # (T, 3) bool: slab, base, floor
     command: np.ndarray  # (T, 4) that vehicle and motors were given: PWM, rad, rad, rad/s
-    voltage: np.ndarray  # (T,) V, of the supervisor's last period
     mode: np.ndarray  # (T,) firmware.State
 
 
@@ -88,7 +87,8 @@ class LogBlock:
 class World(FlightClock):
     """A simulated Crazyflie on the floor with its surroundings, from the moment it is switched on.
 
-    It is the clock of its flight: waiting advances it. Raises UserError for an impossible setting.
+    It is the clock of its flight: waiting advances it. It is also its radio link, with the methods of
+    `vehicle.CflibLink`. Raises UserError for an impossible setting.
     """
 
     def __init__(self, setting: Setting | None = None, *, seed: int, faults: Sequence[Fault] = ()):
@@ -110,18 +110,18 @@ class World(FlightClock):
         )
         self.up, self.down = LinkDirection(setting.link, up), LinkDirection(setting.link, down)
         self.view = SimulatedMotionCapture(setting.cameras, seen)
-        self.parameters = {LIGHTHOUSE: float(setting.lighthouse)}
         self.logs: list[LogBlock] = []
         self.firmware = Firmware()
         self.deck = Lighthouse(self.body, positions) if setting.lighthouse else None
         self.sensors = OnboardSensors(self.body, lambda: self.firmware, specific_force, self.deck)
-        self.link = SimulatedLink(self)
+        self.connected = False
+        self.lost: str | None = None
         self.time = 0.0
         self.thrust = 0.0  # the thrust commanded to the motors
         self._queue: list[tuple[float, int, Callable[[], object]]] = []
         self._count = itertools.count()
         self._frame = float(start.random()) / setting.cameras.rate
-        self._last_battery_reading, self._voltage = -math.inf, self.body.voltage
+        self._last_battery_reading = -math.inf
         self._waiting = list(faults)
         self.begun_faults: list[tuple[float, str]] = []  # faults so far: when, which
         self._flown = False
@@ -134,25 +134,55 @@ class World(FlightClock):
         """The ground truth so far."""
         return Trace(*map(np.array, zip(*self._rows)))
 
-    # --- what the pilot's side does --------------------------------------------------------------
+    # --- the link: what the pilot's side does ----------------------------------------------------
 
-    def send(self, received: Callable[[float], object]) -> None:
+    def open(self, uri: str) -> None:
+        if self.up.down or self.down.down:
+            self.give_up()
+        else:
+            self.connected = True
+
+    def parameter(self, name: str) -> float:
+        return {LIGHTHOUSE: float(self.setting.lighthouse)}[name]
+
+    def log(self, name: str, period: int, variables: Sequence[str], arrived: Arrived) -> None:
+        for variable in variables:
+            if variable not in LOGGED:
+                raise KeyError(variable)
+        seconds = 1e-3 * period
+        self.logs.append(LogBlock(tuple(variables), seconds, arrived, self.time + seconds))
+
+    def arm(self) -> None:
+        self._send(lambda time: self.firmware.request_arming())
+
+    def setpoint(self, roll: float, pitch: float, yaw_rate: float, thrust: int) -> None:
+        # Packed as the floats roll, -pitch, yaw rate (`Commander.send_setpoint`).
+        r, p, y = np.array([roll, -pitch, yaw_rate], np.float32).tolist()
+        self._send(lambda time: self.firmware.receive_rpyt(time, r, p, y, thrust))
+
+    def notice(self) -> None:
+        self._send(lambda time: self.firmware.notice(time))
+
+    def stop(self) -> None:
+        self._send(lambda time: self.firmware.receive_stop(time))
+
+    def emergency_stop(self) -> None:
+        self._send(lambda time: self.firmware.stop_now())
+
+    def close(self) -> None:
+        self.logs.clear()
+
+    def give_up(self) -> None:
+        """Report the link as lost, in the words of cflib's radio driver."""
+        self.lost = "Too many packets lost"
+
+    def _send(self, received: Callable[[float], object]) -> None:
         """Send a packet of the pilot, now; `received` is called with the time [s] at which it arrives."""
         arrival = self.up.arrival(self.time)
         if arrival is not None:
             self.schedule(arrival, lambda: received(self.time))
 
-    def log(self, variables: Sequence[str], period: float, arrived: Arrived) -> None:
-        """Log variables every `period` [s] from now on. Raises KeyError for an unknown variable."""
-        for name in variables:
-            if name not in LOGGED:
-                raise KeyError(name)
-        self.logs.append(LogBlock(tuple(variables), period, arrived, self.time + period))
-
-    @property
-    def link_up(self) -> bool:
-        """Whether packets get through both ways."""
-        return not (self.up.down or self.down.down)
+    # --- the clock -------------------------------------------------------------------------------
 
     def now(self) -> float:
         return self.time
@@ -230,7 +260,7 @@ class World(FlightClock):
         """Block all packets; report it as cflib's radio driver does without acknowledgements."""
         self.up.down = self.down.down = True
         end = self.time + self.up.link.attempts * self.up.link.again
-        self.schedule(end, self.link.give_up)
+        self.schedule(end, self.give_up)
 
     # --- what happens by itself ------------------------------------------------------------------
 
@@ -258,7 +288,6 @@ class World(FlightClock):
         body = self.body
         if body.time - self._last_battery_reading >= PERIOD - 1e-9:
             self._last_battery_reading = body.time
-            self._voltage = body.voltage
             self.sensors.look()
         specific_force = body.specific_force
         setpoint = self.firmware.step(
@@ -267,7 +296,7 @@ class World(FlightClock):
         body.step(setpoint)
         self.thrust = setpoint.thrust
         mode = int(self.firmware.state)
-        self._rows.append((body.time, body.state, body.touching, body.command.copy(), self._voltage, mode))
+        self._rows.append((body.time, body.state, body.touching, body.command.copy(), mode))
         self._watch()
 
     def _watch(self) -> None:
@@ -282,48 +311,3 @@ class World(FlightClock):
         for fault in [f for f in self._waiting if f.event == event]:
             self._waiting.remove(fault)
             self.schedule(self.body.time + fault.after, functools.partial(self.begin, fault))
-
-
-class SimulatedLink(Link):
-    """The link to the vehicle of a world."""
-
-    def __init__(self, world: World):
-        self.connected = False
-        self.lost: str | None = None
-        self._world = world
-
-    def open(self, uri: str) -> None:
-        if self._world.link_up:
-            self.connected = True
-        else:
-            self.give_up()
-
-    def parameter(self, name: str) -> float:
-        return self._world.parameters[name]
-
-    def log(self, name: str, period: int, variables: Sequence[str], arrived: Arrived) -> None:
-        self._world.log(variables, 1e-3 * period, arrived)
-
-    def arm(self) -> None:
-        self._world.send(lambda time: self._world.firmware.request_arming(True))
-
-    def setpoint(self, roll: float, pitch: float, yaw_rate: float, thrust: int) -> None:
-        # Packed as the floats roll, -pitch, yaw rate (`Commander.send_setpoint`).
-        r, p, y = np.array([roll, -pitch, yaw_rate], np.float32).tolist()
-        self._world.send(lambda time: self._world.firmware.receive_rpyt(time, r, p, y, thrust))
-
-    def notice(self) -> None:
-        self._world.send(lambda time: self._world.firmware.notice(time))
-
-    def stop(self) -> None:
-        self._world.send(lambda time: self._world.firmware.receive_stop(time))
-
-    def emergency_stop(self) -> None:
-        self._world.send(lambda time: self._world.firmware.stop_now())
-
-    def close(self) -> None:
-        self._world.logs.clear()
-
-    def give_up(self) -> None:
-        """Report the link as lost, in the words of cflib's radio driver."""
-        self.lost = "Too many packets lost"

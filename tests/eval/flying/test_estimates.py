@@ -14,12 +14,13 @@ from inclined_landing.envs import load_policy, record_flights
 from inclined_landing.envs.tasks import hover_states
 from inclined_landing.eval.flying import frames
 from inclined_landing.eval.flying.estimate import (
+    POSITION_NOISE,
+    SPEED,
     TIME_CONSTANT,
     Attitude,
     ClockOffset,
     ConsistencyMonitor,
     Estimator,
-    FilterNoise,
     KalmanFilter,
     process_noise,
     transition,
@@ -28,7 +29,8 @@ from inclined_landing.eval.flying.interfaces import MeasuredPose
 from inclined_landing.models.attitude import quaternion, rotation
 from inclined_landing.models.parameters import load_vehicle
 
-NOISE = FilterNoise.of(load_vehicle())
+V = load_vehicle()
+FILTER = KalmanFilter(V)
 STEP = 1 / 120
 G = 9.81
 
@@ -39,16 +41,16 @@ def test_steps_are_those_of_the_differential_equation(dt):
     """Van Loan's block exponential is the exact answer; quadrature differs by its truncation, below 1e-6."""
     a = np.zeros((3, 3))
     a[0, 1] = a[1, 2] = 1.0
-    a[2, 2] = -1 / NOISE.correlation
+    a[2, 2] = -1 / FILTER.correlation
     noise = np.zeros((3, 3))
-    noise[2, 2] = 2 * NOISE.acceleration**2 / NOISE.correlation
+    noise[2, 2] = 2 * FILTER.acceleration**2 / FILTER.correlation
     block = expm(np.block([[-a, noise], [np.zeros((3, 3)), a.T]]) * dt)
     f = block[3:, 3:].T
-    np.testing.assert_allclose(transition(dt, NOISE.correlation), f, rtol=1e-9, atol=1e-12)
+    np.testing.assert_allclose(transition(dt, FILTER.correlation), f, rtol=1e-9, atol=1e-12)
     exact = f @ block[:3, 3:]
     size = np.sqrt(np.outer(np.diag(exact), np.diag(exact)))
     assert (
-        np.abs(process_noise(dt, NOISE.acceleration, NOISE.correlation) - exact).max()
+        np.abs(process_noise(dt, FILTER.acceleration, FILTER.correlation) - exact).max()
         <= (1e-6 * size).max() + 1e-15
     )
 
@@ -66,16 +68,17 @@ def test_errors_are_as_large_as_the_filter_says():
     """Normalised squared errors of position, velocity, acceleration of vehicles that move as it believes."""
     random, squared, inside = np.random.default_rng(3), [], []
     for _ in range(20):
-        truth = np.stack(
-            [np.zeros(3), random.normal(0, NOISE.speed, 3), random.normal(0, NOISE.acceleration, 3)]
-        )
-        tracked, last = KalmanFilter(NOISE), 0.0
+        truth = np.stack([np.zeros(3), random.normal(0, SPEED, 3), random.normal(0, FILTER.acceleration, 3)])
+        tracked, last = KalmanFilter(V), 0.0
         for t in times(random, 1.5):
             kick = random.multivariate_normal(
-                np.zeros(3), process_noise(t - last, NOISE.acceleration, NOISE.correlation), 3, method="eigh"
+                np.zeros(3),
+                process_noise(t - last, FILTER.acceleration, FILTER.correlation),
+                3,
+                method="eigh",
             )
-            truth, last = transition(t - last, NOISE.correlation) @ truth + kick.T, t
-            tracked.update(t, truth[0] + random.normal(0, NOISE.position, 3))
+            truth, last = transition(t - last, FILTER.correlation) @ truth + kick.T, t
+            tracked.update(t, truth[0] + random.normal(0, POSITION_NOISE, 3))
         error = truth - tracked.mean
         squared.append(np.einsum("ik,ij,jk->k", error, np.linalg.inv(tracked.variance), error))
         inside.append(tracked.normalised_innovation_squared)
@@ -90,10 +93,10 @@ def test_landings_are_followed():
     starts = hover_states([(0.0, 2.0), (-1.5, 1.6), (1.5, 1.8)], policy.task.vehicle)
     random = np.random.default_rng(5)
     for flight in record_flights(policy, "hybrid", starts):
-        tracked, errors, deviations = KalmanFilter(NOISE), [], []
+        tracked, errors, deviations = KalmanFilter(V), [], []
         for t in np.arange(0.0, flight.duration, STEP):
             state = np.array([np.interp(t, flight.t, column) for column in flight.state[:, :6].T])
-            tracked.update(t, state[:3] + random.normal(0, NOISE.position, 3))
+            tracked.update(t, state[:3] + random.normal(0, POSITION_NOISE, 3))
             errors.append(np.stack(tracked.predict(t)) - state.reshape(2, 3))
             deviations.append(np.sqrt(np.diag(tracked._ahead(max(0.0, t - tracked.time))[1])[:2]))
         error, deviation = np.abs(errors)[20:], np.array(deviations)[20:, :, None]
@@ -101,7 +104,7 @@ def test_landings_are_followed():
 
 
 def test_what_is_no_measurement_is_left_out():
-    tracked = KalmanFilter(NOISE)
+    tracked = KalmanFilter(V)
     assert np.isnan(tracked.predict(0.0)).all()
     assert not tracked.update(np.nan, np.zeros(3)) and not tracked.update(0.0, np.full(3, np.inf))
     for k in range(100):
@@ -112,7 +115,7 @@ def test_what_is_no_measurement_is_left_out():
     assert not tracked.update(100 * STEP, np.array([0.3, 0.0, 0.0]), impact=True), "nor from a touch"
     np.testing.assert_array_equal(tracked.mean, before)
     # A fall at 2 m/s ends at once: only where something may be touched that is believed.
-    falling = KalmanFilter(NOISE)
+    falling = KalmanFilter(V)
     path = [-2.0 * max(0.0, 0.5 - k * STEP) for k in range(90)]
     for at, z in enumerate(path):
         falling.update(at * STEP, np.array([0.0, 0.0, z]), impact=True)
@@ -121,7 +124,7 @@ def test_what_is_no_measurement_is_left_out():
 
 def test_heading_comes_from_motion_capture():
     """The vehicle's own yaw begins anywhere; the arena's is seen, and followed when gyroscopes drift."""
-    estimator, own = Estimator(NOISE), 1.2
+    estimator, own = Estimator(V), 1.2
     angles = 0.1, -0.2, 0.7  # roll, pitch, yaw in the arena
     for k in range(600):
         t = k * STEP
@@ -138,7 +141,7 @@ def test_heading_comes_from_motion_capture():
 
 
 def test_frozen_cameras_are_no_measurement():
-    estimator = Estimator(NOISE)
+    estimator = Estimator(V)
     assert estimator.add_pose(MeasuredPose(0.0, np.zeros(3)))
     assert not any(estimator.add_pose(MeasuredPose(k * STEP, np.zeros(3))) for k in range(1, 60))
     assert estimator.predict(0.5).pose_age == 0.5

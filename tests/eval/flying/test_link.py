@@ -66,7 +66,7 @@ def test_a_set_point_is_packed_as_the_simulated_vehicle_receives_it(sending):
     assert (port, channel) == (3, 0) and data == struct.pack("<fffH", 3.3, 7.1, 20.0, 41_000)
     world, received = World(Setting(link=LinkQuality(lost=0.0)), seed=1), []
     world.firmware.receive_rpyt = lambda time, *values: received.append(values)
-    world.link.setpoint(3.3, -7.1, 20.0, 41_000)
+    world.setpoint(3.3, -7.1, 20.0, 41_000)
     world.wait_until(world.now() + 0.1)
     assert received == [struct.unpack("<fffH", data)]
 

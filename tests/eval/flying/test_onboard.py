@@ -74,7 +74,7 @@ def test_positions_are_believed_while_the_filter_knows_its_velocity():
 
 def test_a_vehicle_without_the_deck_cannot_fly_by_it():
     world = World(seed=1)
-    radio = Radio(world.link, world, 0.5)
+    radio = Radio(world, world, 0.5)
     radio.connect(URI)
     with pytest.raises(UserError, match="no deck that measures its position"):
         radio.onboard_position()

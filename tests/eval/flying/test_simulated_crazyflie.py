@@ -29,7 +29,7 @@ yaws = st.floats(-179.0, 179.0)
 def connected(seed=1, faults=(), **setting):
     setting = {"heading": 0.0, **setting}
     world = World(Setting(**setting), seed=seed, faults=[Fault.parse(text) for text in faults])
-    world.link.open(URI)
+    world.open(URI)
     return world
 
 
@@ -37,7 +37,7 @@ def fly(world, seconds, setpoint=None):
     """Send a set-point at 50 Hz."""
     for _ in range(round(seconds / PERIOD)):
         if setpoint is not None:
-            world.link.setpoint(*setpoint)
+            world.setpoint(*setpoint)
         world.wait_until(world.now() + PERIOD)
 
 
@@ -51,7 +51,7 @@ def airborne(seconds=1.0, **options):
 
 def logged(world, period, *names):
     rows = []
-    world.link.log("test", period, names, lambda stamp, data: rows.append((world.now(), stamp, data)))
+    world.log("test", period, names, lambda stamp, data: rows.append((world.now(), stamp, data)))
     return rows
 
 
@@ -167,7 +167,7 @@ def test_thrust_is_locked_until_a_setpoint_of_none():
     world = connected()
     fly(world, 0.5, (0, 0, 0, 50000))
     assert world.firmware.thrust == 0.0
-    world.link.setpoint(0, 0, 0, 0)
+    world.setpoint(0, 0, 0, 0)
     fly(world, 0.1, (0, 0, 0, 50000))
     assert world.firmware.thrust == 50000.0
     fly(world, 0.1, (0, 0, 0, 65535))
@@ -198,12 +198,12 @@ def test_watchdog_levels_out_then_stops_and_locks():
 def test_emergency_stop_and_its_watchdog():
     world = airborne(link=PERFECT)
     begin = world.now()
-    world.link.emergency_stop()
+    world.emergency_stop()
     fly(world, 0.2, (0, 0, 0, 40000))
     trace = world.trace
     assert trace.time[trace.command[:, 0] > 0][-1] - begin < 0.05  # 3 ms of radio, 40 ms of supervisor
     world = airborne(link=PERFECT)
-    world.link.notice()
+    world.notice()
     begin = world.now()
     fly(world, 1.2, (0, 0, 0, 34000))
     trace = world.trace
@@ -213,7 +213,7 @@ def test_emergency_stop_and_its_watchdog():
 def test_a_stop_setpoint_ends_a_flight_that_may_go_on():
     world = airborne(0.4)
     for _ in range(110):
-        world.link.stop()
+        world.stop()
         fly(world, PERIOD)
     assert world.thrust == 0.0 and world.firmware.state is State.LANDED
     fly(world, 0.3, (0, 0, 0, 40000))
@@ -314,7 +314,7 @@ def fault_flight(name):
     """A second of flight, and one with the fault."""
     world = connected(faults=[f"{name}@air+0.5"], cameras=CameraQuality(dropouts=0.0))
     lost = []
-    world.link.give_up = lambda: lost.append(world.now())
+    world.give_up = lambda: lost.append(world.now())
     rows = logged(world, 10, "stateEstimate.roll", "stateEstimate.pitch", "pm.vbat")
     fly(world, 0.1, (0, 0, 0, 0))
     poses = seen_by(world)
@@ -378,8 +378,8 @@ def test_faults_are_named_and_timed():
 def test_connecting_over_a_lost_link_fails():
     world = World(seed=1, faults=[Fault("link-lost")])
     world.wait_until(1.1)
-    world.link.open(URI)
-    assert world.link.lost == "Too many packets lost" and not world.link.connected
+    world.open(URI)
+    assert world.lost == "Too many packets lost" and not world.connected
 
 
 @pytest.mark.parametrize("start", [(0.0, 0.0), (9.0, 0.0), (math.nan, 0.0)])
