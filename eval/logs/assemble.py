@@ -12,13 +12,12 @@ from scipy.spatial.transform import Rotation
 
 from inclined_landing.eval.logs.channels import Channel
 from inclined_landing.eval.logs.limits import LARGEST_VALUE
-from inclined_landing.eval.logs.log import COMMANDS, VOLTAGE_BRIDGED, FlightLog, longest_bridged
+from inclined_landing.eval.logs.log import COMMANDS, FIELDS, VOLTAGE_BRIDGED, FlightLog, longest_bridged
 from inclined_landing.eval.logs.repeats import percent, without_repeats
-from inclined_landing.eval.logs.units import COMMANDED_QUATERNION, QUATERNION, REQUESTS, ROTOR_SPEEDS
+from inclined_landing.eval.logs.units import COMMANDED_QUATERNION, QUATERNION
 from inclined_landing.models.base.errors import UserError, shown
 
-_POSITION = ("x", "y", "z")
-_EULER = ("roll", "pitch", "yaw")
+_POSITION, _EULER = FIELDS["position"], FIELDS["attitude"]
 _COMMANDED_TILT = ("cmd_roll", "cmd_pitch")
 # What no flight exceeds, in SI units. A column beyond that throughout has another unit, which the checks say;
 # a few values that are beyond alone were not measured.
@@ -73,6 +72,8 @@ def assemble(
         raise UserError(f"{path}: pose and commands are never logged at the same time{why}")
     notes += _describe_rows(channels, t, complete)
     optional = _optional(t[complete], channels, notes)
+    if "contact" in commands:
+        optional["contact"] = commands["contact"][complete] > 0.5
     if "cmd_yaw" in channels and "cmd_yaw_rate" not in channels:
         notes.append("yaw is commanded as an angle; there is no yaw rate command, and none is derived")
 
@@ -92,10 +93,7 @@ def assemble(
         position=np.stack([pose[key][complete] for key in _POSITION], axis=1),
         attitude=attitude,
         command=command,
-        voltage=optional["battery voltage"][:, 0] if "battery voltage" in optional else None,
-        contact=commands["contact"][complete] > 0.5 if "contact" in commands else None,
-        requests=optional.get("requests"),
-        rotor_speed=optional.get("rotor speed"),
+        **optional,
         thrust_is_measured=channels["cmd_thrust_pwm"].measured,
         from_quaternion=quaternion,
         notes=tuple(dict.fromkeys(notes)),
@@ -173,17 +171,18 @@ def _at(
 
 
 def _optional(t: np.ndarray, channels: Mapping[str, Channel], notes: list[str]) -> dict[str, np.ndarray]:
-    """Return the optional columns by name, (m, k) at t, that are logged throughout; note the others."""
+    """Return the optional fields of a `FlightLog` at t (m,) that are logged throughout; note the others."""
     found = {}
-    for what, keys, method in (
-        ("battery voltage", ("vbat",), functools.partial(_interpolate, longest=VOLTAGE_BRIDGED)),
-        ("requests", REQUESTS, _hold),
-        ("rotor speed", ROTOR_SPEEDS, _interpolate),
+    for field, what, method in (
+        ("voltage", "battery voltage", functools.partial(_interpolate, longest=VOLTAGE_BRIDGED)),
+        ("requests", "requests", _hold),
+        ("rotor_speed", "rotor speed", _interpolate),
     ):
-        values, usable = _at(t, channels, keys, method)
-        if len(values) == len(keys) and usable.all():
-            found[what] = np.stack([values[key] for key in keys], axis=1)
-        elif len(values) == len(keys):
+        values, usable = _at(t, channels, FIELDS[field], method)
+        columns = list(values.values())
+        if len(columns) == len(FIELDS[field]) and usable.all():
+            found[field] = columns[0] if len(columns) == 1 else np.stack(columns, axis=1)
+        elif len(columns) == len(FIELDS[field]):
             notes.append(f"{what} is not logged throughout and is not used")
     return found
 

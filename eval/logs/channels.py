@@ -180,13 +180,13 @@ def _channel(
 def _combined(
     canonical: str, source: Source, found: list[str], record: Record, notes: list[str]
 ) -> np.ndarray:
-    """Return the column of a source (m,), or the sum, mean or mean square of several, with a note."""
+    """Return the column of a source (m,), or the mean or mean square of several, with a note."""
     if source.column is not None:
         return record.columns[found[0]]
     value = np.sum([record.columns[name] ** (2 if source.mean_square else 1) for name in found], axis=0)
-    kind = "sum" if source.sum else "mean" if source.mean else "mean square"
+    kind = "mean" if source.mean else "mean square"
     notes.append(f"{canonical} is derived: the {kind} of {', '.join(found)}")
-    return value if source.sum else value / len(found)
+    return value / len(found)
 
 
 def _attitude(pid: AttitudePid, record: Record, notes: list[str]) -> dict[str, Channel]:

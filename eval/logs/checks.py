@@ -10,8 +10,7 @@ import numpy as np
 
 from inclined_landing.eval.logs import copies, motion, values
 from inclined_landing.eval.logs.channels import FULL_COMMAND
-from inclined_landing.eval.logs.findings import Finding, limit, refuse
-from inclined_landing.eval.logs.log import FlightLog, as_logs
+from inclined_landing.eval.logs.log import Finding, FlightLog, as_logs, limit, refuse
 from inclined_landing.models.base.errors import UserError
 
 _ORDER = {"refuse": 0, "limit": 1, "info": 2}

@@ -7,8 +7,7 @@ from pathlib import Path
 from typing import Any
 
 from inclined_landing.eval.base.options import Flag, Flat, LogSource
-from inclined_landing.eval.logs.findings import Finding, limit, refuse
-from inclined_landing.eval.logs.log import COMMANDS, MEASURED, FlightLog
+from inclined_landing.eval.logs.log import Finding, FlightLog, limit, refuse
 from inclined_landing.models.base.errors import UserError, first_of, shown
 
 
@@ -94,9 +93,7 @@ def _finding_line(finding: Mapping[str, str]) -> str:
 def _flight_json(file: str, log: FlightLog | None, findings: Sequence[Finding]) -> dict[str, Any]:
     read = {}
     if log is not None:
-        logged = [name for name in MEASURED + COMMANDS if name not in log.missing]
-        logged += ["vbat"] if log.voltage is not None else []
-        logged += ["contact"] if log.contact is not None else []
+        logged = [name for name in log.columns() if name not in ("t", *log.missing)]
         read = {"rows": len(log), "seconds": log.duration, "rate": log.rate, "logged": logged}
     return {"file": str(Path(file)), **read, "findings": [_finding_json(finding) for finding in findings]}
 

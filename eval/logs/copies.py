@@ -13,8 +13,7 @@ from collections.abc import Iterator, Mapping
 import numpy as np
 
 from inclined_landing.eval.logs.channels import Channel
-from inclined_landing.eval.logs.findings import Finding, refuse
-from inclined_landing.eval.logs.log import FlightLog
+from inclined_landing.eval.logs.log import MEASURED, Finding, FlightLog, refuse
 from inclined_landing.eval.logs.record import Record
 from inclined_landing.eval.logs.repeats import percent
 from inclined_landing.eval.logs.units import COMMANDED_QUATERNION, QUATERNION, REQUESTS, ROTOR_SPEEDS
@@ -22,7 +21,6 @@ from inclined_landing.models.base.errors import UserError, shown
 
 SAME = 0.9  # share of the changes after which two columns are equal
 FEWEST = 20  # changes, to tell
-_MEASURED = ("x", "y", "z", "roll", "pitch", "yaw", *QUATERNION)
 _COMMANDED = ("cmd_roll", "cmd_pitch", "cmd_yaw", *COMMANDED_QUATERNION)
 _SET_POINT = re.compile(
     r"(?:^|[^a-z])(?:cmd|command(?:ed)?|set_?points?|sp|des(?:ired)?|ref(?:erence)?|(?:ctrl)?target|goal)(?:[^a-z]|$)"
@@ -47,7 +45,7 @@ def check_columns(record: Record, channels: Mapping[str, Channel]) -> None:
     """
     commands = {channels[key].column for key in _COMMANDED if key in channels}
     set_points = commands | {name for name in record.columns if _SET_POINT.search(name.lower())}
-    for key in _MEASURED:
+    for key in MEASURED + QUATERNION:
         if key not in channels or channels[key].column not in record.columns:
             continue
         name = channels[key].column

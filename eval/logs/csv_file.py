@@ -15,7 +15,7 @@ import numpy as np
 import pandas
 
 from inclined_landing.eval.logs.limits import MOST_AT_THE_END, MOST_COLUMNS, read_table
-from inclined_landing.eval.logs.mapping import ColumnMap, is_named, means_time
+from inclined_landing.eval.logs.mapping import ColumnMap, is_named
 from inclined_landing.eval.logs.record import Record
 from inclined_landing.models.base.errors import UserError, shown
 
@@ -77,10 +77,6 @@ def read(path: Path, column_map: ColumnMap | None = None) -> Record:
         table, decimal, thousands = _parse_numbers(rows, layout, encoding, notes)
         parts = {key: part for name in layout.names for key, part in _parts(path, table[name]).items()}
         columns = {key: _numbers(part, decimal, thousands) for key, part in parts.items()}
-        for name in [name for name in table if means_time(name, column_map)]:
-            if name in columns and (np.diff(columns[name].values) < 0.0).any():
-                written = _parse(rows, layout, encoding, usecols=[name], dtype=str)[name]
-                columns[name] = _stamps(written, notes) or columns[name]
     except (pandas.errors.ParserError, pandas.errors.ParserWarning) as error:
         reason = str(error).removeprefix("Error tokenizing data. C error: ").strip()
         raise UserError(f"{path}: rows of different length ({reason}) below the header") from error
@@ -355,16 +351,6 @@ def _numbers(column: pandas.Series, decimal: str, thousands: str) -> _Column:
     values = pandas.to_numeric(plain.str.replace(decimal, ".", regex=False), errors="coerce")
     words = text[values.isna() & text.notna()]
     return _Column(values.to_numpy(float, na_value=np.nan), words=words)
-
-
-def _stamps(text: pandas.Series, notes: list[str]) -> _Column | None:
-    """Return times as `sec.nanosec`, whose nanoseconds lack leading zeros; None for other numbers."""
-    parts = text.str.strip().str.extract(r"^(\d+)\.(\d{1,9})$").to_numpy(float, na_value=np.nan)
-    values = parts[:, 0] + 1e-9 * parts[:, 1]
-    if not (np.diff(values) >= 0.0).all():
-        return None
-    notes.append(f"column {shown(text.name)} is read as sec.nanosec: its nanoseconds lack leading zeros")
-    return _Column(values, unit="s")
 
 
 def _at_the_end(columns: Mapping[str, _Column], notes: list[str]) -> int:

@@ -1,4 +1,4 @@
-"""The in-memory representation of a measured flight."""
+"""The in-memory representation of a measured flight, and of what a check finds about one."""
 
 from __future__ import annotations
 
@@ -9,10 +9,22 @@ from typing import Any
 
 import numpy as np
 
+from inclined_landing.eval.logs.units import REQUESTS, ROTOR_SPEEDS
 from inclined_landing.models.base.errors import UserError, shown
 
-MEASURED = ("x", "y", "z", "roll", "pitch", "yaw")
-COMMANDS = ("cmd_thrust_pwm", "cmd_roll", "cmd_pitch", "cmd_yaw_rate")
+# Arrays of a `FlightLog` with a value per row, and the canonical names of their columns; (m,) if it is one.
+FIELDS = {
+    "t": ("t",),
+    "position": ("x", "y", "z"),
+    "attitude": ("roll", "pitch", "yaw"),
+    "command": ("cmd_thrust_pwm", "cmd_roll", "cmd_pitch", "cmd_yaw_rate"),
+    "voltage": ("vbat",),
+    "contact": ("contact",),
+    "requests": REQUESTS,
+    "rotor_speed": ROTOR_SPEEDS,
+}
+MEASURED, COMMANDS = FIELDS["position"] + FIELDS["attitude"], FIELDS["command"]
+_HELD = ("command", "contact", "requests")
 
 # A gap in the record is a step in time this many times the usual one, and longer than the first time (s). A
 # step beyond the second time is a gap however seldom a quantity was logged.
@@ -35,12 +47,6 @@ def longest_bridged(t: np.ndarray) -> float:
 def runs(mask: np.ndarray) -> np.ndarray:
     """Return the first row and the row after the last of every stretch (k, 2) in which a mask is true."""
     return np.flatnonzero(np.diff(np.r_[False, mask, False])).reshape(-1, 2)
-
-
-# Columns of each array that has a value per row; None: it is one column, (m,).
-_WIDTHS = {"t": None, "position": 3, "attitude": 3, "command": 4, "voltage": None}
-_WIDTHS |= {"contact": None, "requests": 4, "rotor_speed": 4}
-_HELD = ("command", "contact", "requests")
 
 
 @dataclasses.dataclass(frozen=True)
@@ -72,8 +78,8 @@ class FlightLog:
 
     def __post_init__(self):
         m = len(self.t)
-        for field, width in _WIDTHS.items():
-            value, shape = getattr(self, field), (m,) if width is None else (m, width)
+        for field, names in FIELDS.items():
+            value, shape = getattr(self, field), (m,) if len(names) == 1 else (m, len(names))
             if value is None:
                 continue
             value = np.asarray(value, bool if field == "contact" else float)
@@ -99,12 +105,20 @@ class FlightLog:
         """Typical rows per second: one over the median time step."""
         return float(1.0 / np.median(np.diff(self.t)))
 
+    def columns(self) -> dict[str, np.ndarray]:
+        """Return the columns (m,) by their canonical names, without optional ones that were not logged."""
+        return {
+            name: column
+            for field, names in FIELDS.items()
+            if (value := getattr(self, field)) is not None
+            for name, column in zip(names, value.reshape(len(self), -1).T)
+        }
+
     @property
     def missing(self) -> tuple[str, ...]:
         """Names of the columns of pose and command that were not logged."""
-        table = np.hstack([self.position, self.attitude, self.command])
-        names = MEASURED + COMMANDS
-        return tuple(name for name, column in zip(names, table.T) if np.isnan(column).any())
+        columns = self.columns()
+        return tuple(name for name in MEASURED + COMMANDS if np.isnan(columns[name]).any())
 
     @property
     def gap_starts(self) -> np.ndarray:
@@ -113,7 +127,7 @@ class FlightLog:
 
     def rows(self, selection) -> FlightLog:
         """Return the rows of a slice, an index array or a mask."""
-        changed = {f: getattr(self, f)[selection] for f in _WIDTHS if getattr(self, f) is not None}
+        changed = {f: getattr(self, f)[selection] for f in FIELDS if getattr(self, f) is not None}
         return dataclasses.replace(self, **changed)
 
     def pieces(self, shortest: float = 0.0) -> tuple[FlightLog, ...]:
@@ -136,7 +150,7 @@ class FlightLog:
         latest = np.clip(np.searchsorted(self.t, t + 1e-9, side="right") - 1, 0, len(self) - 1)
 
         changed = {"t": t}
-        for field in _WIDTHS:
+        for field in FIELDS:
             value = getattr(self, field)
             if field in _HELD and value is not None:
                 changed[field] = value[latest]
@@ -150,6 +164,39 @@ class FlightLog:
         """Return the same flight with more notes, without duplicates."""
         new = tuple(note for note in dict.fromkeys(notes) if note not in self.notes)
         return dataclasses.replace(self, notes=self.notes + new)
+
+
+@dataclasses.dataclass(frozen=True)
+class Finding:
+    """The result of one check.
+
+    decision: "refuse" (the flight cannot be used), "limit" (it is used, and this is noted) or "info".
+    channel: the column or columns concerned.
+    text: a sentence for the user.
+    without: the optional field of the log ("voltage") that is therefore omitted.
+    rows: the rows that are therefore omitted.
+    """
+
+    decision: str
+    channel: str
+    text: str
+    without: str | None = None
+    rows: tuple[int, ...] = ()
+
+
+def refuse(channel: str, text: str) -> Finding:
+    """Return a finding that the flight cannot be used."""
+    return Finding("refuse", channel, text)
+
+
+def limit(channel: str, text: str, *, without: str | None = None, rows: tuple[int, ...] = ()) -> Finding:
+    """Return a finding that the flight is used with this limitation."""
+    return Finding("limit", channel, text, without, rows)
+
+
+def info(channel: str, text: str) -> Finding:
+    """Return a finding that has no consequence."""
+    return Finding("info", channel, text)
 
 
 def as_logs(flights: object) -> list[FlightLog]:

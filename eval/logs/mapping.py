@@ -29,7 +29,6 @@ class Source(Table, frozen=True):
 
     column: str | None = None  # or, of several:
     mean: tuple[str, ...] | None = None
-    sum: tuple[str, ...] | None = None
     mean_square: tuple[str, ...] | None = None  # of measured rotor speeds
     measured: bool = False  # of a thrust command: that of measured rotor speeds
     full: Annotated[float, Meta(gt=0.0, le=limits.LARGEST_VALUE)] | None = None  # in the file's own unit
@@ -41,7 +40,7 @@ class Source(Table, frozen=True):
     @property
     def columns(self) -> tuple[str, ...]:
         """Return the names of the columns from which the value is computed."""
-        return self.mean or self.sum or self.mean_square or (self.column or "",)
+        return self.mean or self.mean_square or (self.column or "",)
 
 
 class AttitudePid(Table, frozen=True):
@@ -166,12 +165,6 @@ def is_named(names: Sequence[str], column_map: ColumnMap) -> bool:
     return any(_any(names, pattern) for pattern in patterns(column_map))
 
 
-def means_time(name: str, column_map: ColumnMap | None) -> bool:
-    """Return whether a column's name means time, or is the time column of a mapping."""
-    wanted = () if column_map is None else [c for source in column_map.sources("t") for c in source.columns]
-    return name in wanted or clocks.named([name]) is not None
-
-
 def _parse(where: str, data: dict) -> ColumnMap:
     read = schema.parse(data, ColumnMap, f"{where}: ")
     if read.inherit and read.inherit not in shipped():
@@ -192,10 +185,10 @@ def _parse(where: str, data: dict) -> ColumnMap:
 
 
 def _check_source(source: Source, canonical: str, where: str) -> None:
-    if [source.column, source.mean, source.sum, source.mean_square].count(None) != 3:
-        raise UserError(f"{where} needs exactly one of column, mean, sum, mean_square")
+    if [source.column, source.mean, source.mean_square].count(None) != 2:
+        raise UserError(f"{where} needs exactly one of column, mean, mean_square")
     if not all(source.columns):
-        raise UserError(f"{where}: column, mean, sum and mean_square must name columns")
+        raise UserError(f"{where}: column, mean and mean_square must name columns")
     if source.full is not None and (units.COLUMNS[canonical] != "pwm" or source.unit is not None):
         raise UserError(f"{where}: full is only for a thrust command or a request, instead of a unit")
     if source.mean_square is not None and source.full is None:

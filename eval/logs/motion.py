@@ -16,9 +16,8 @@ import numpy as np
 import scipy  # whose submodules are imported when they are used
 from scipy.spatial.transform import Rotation
 
-from inclined_landing.eval.logs.findings import Finding, info, limit, refuse
 from inclined_landing.eval.logs.limits import LEAST_RATE
-from inclined_landing.eval.logs.log import MOTORS_OFF, FlightLog, runs
+from inclined_landing.eval.logs.log import MOTORS_OFF, Finding, FlightLog, info, limit, refuse, runs
 from inclined_landing.eval.logs.values import SHORTEST
 
 GRAVITY = 9.81

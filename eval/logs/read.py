@@ -23,10 +23,10 @@ from inclined_landing.eval.logs import (
 )
 from inclined_landing.eval.logs import mapping as mappings
 from inclined_landing.eval.logs.channels import Channel, channels_of
-from inclined_landing.eval.logs.log import COMMANDS, MEASURED, FlightLog, as_logs
+from inclined_landing.eval.logs.log import FlightLog, as_logs
 from inclined_landing.eval.logs.mapping import ColumnMap
 from inclined_landing.eval.logs.record import Record
-from inclined_landing.eval.logs.units import COLUMNS, REQUESTS, ROTOR_SPEEDS, factor
+from inclined_landing.eval.logs.units import COLUMNS, factor
 from inclined_landing.models.base import storage
 from inclined_landing.models.base.errors import UserError, choices, shown
 
@@ -101,19 +101,10 @@ def write_log(path: str | Path, log: FlightLog) -> None:
 def log_table(log: FlightLog) -> pandas.DataFrame:
     """Return a flight in the documented columns, without those that were not logged."""
     (log,) = as_logs([log])
-    names = ("t", *MEASURED, *COMMANDS)
-    table = dict(zip(names, np.c_[log.t, log.position, log.attitude, log.command].T))
-    table = {key: value for key, value in table.items() if not np.isnan(value).all()}
-    if log.thrust_is_measured:
-        table["measured_thrust_pwm"] = table.pop("cmd_thrust_pwm")
-    if log.voltage is not None:
-        table["vbat"] = log.voltage
-    for columns, values in ((REQUESTS, log.requests), (ROTOR_SPEEDS, log.rotor_speed)):
-        if values is not None:
-            table |= dict(zip(columns, values.T))
+    table = pandas.DataFrame({key: x for key, x in log.columns().items() if not np.isnan(x).all()})
     if log.contact is not None:
         table["contact"] = log.contact.astype(int)
-    return pandas.DataFrame(table)
+    return table.rename(columns={"cmd_thrust_pwm": "measured_thrust_pwm"} if log.thrust_is_measured else {})
 
 
 def _record(path: Path, column_map: ColumnMap | None) -> Record:

@@ -13,7 +13,14 @@ from collections.abc import Iterable, Mapping
 import numpy as np
 
 from inclined_landing.eval.logs.channels import Channel
-from inclined_landing.eval.logs.log import GAP_SECONDS, MOTORS_OFF, VOLTAGE_BRIDGED, longest_bridged, runs
+from inclined_landing.eval.logs.log import (
+    FIELDS,
+    GAP_SECONDS,
+    MOTORS_OFF,
+    VOLTAGE_BRIDGED,
+    longest_bridged,
+    runs,
+)
 from inclined_landing.eval.logs.units import QUATERNION, ROTOR_SPEEDS
 
 REWRITTEN = 0.2  # share of repeats in motion above which a quantity was measured less often than written
@@ -23,7 +30,7 @@ RESOLUTION = 0.01  # quantile of the changes of a quantity: one digit of it, if 
 ONE_DIGIT = 2.5  # resolutions by which a rounded value at rest changes at most
 BEFORE = 10  # changes before a value that stays to the end
 DEPARTS = 5  # changes after a value that stays: of noise, one way and ever larger in one case of 40 000
-_POSITION = ("x", "y", "z")
+_POSITION = FIELDS["position"]
 
 
 def without_repeats(

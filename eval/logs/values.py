@@ -7,15 +7,17 @@ from collections.abc import Iterator
 import numpy as np
 from scipy.ndimage import median_filter
 
-from inclined_landing.eval.logs.findings import Finding, limit, refuse
 from inclined_landing.eval.logs.limits import FEWEST_PER_SECOND, LEAST_RATE, MOST_PER_SECOND
 from inclined_landing.eval.logs.log import (
     COMMANDS,
     GAP_STEPS,
     MEASURED,
     MOTORS_OFF,
+    Finding,
     FlightLog,
+    limit,
     longest_bridged,
+    refuse,
 )
 from inclined_landing.eval.logs.units import OF_A_FORCE
 
@@ -80,8 +82,9 @@ def _check_time(log: FlightLog) -> Iterator[Finding]:
 
 
 def _check_finite(log: FlightLog) -> Iterator[Finding]:
-    table = np.hstack([log.position, log.attitude, log.command])
-    for name, column in zip(MEASURED + COMMANDS, table.T):
+    columns = log.columns()
+    for name in MEASURED + COMMANDS:
+        column = columns[name]
         bad = np.flatnonzero(~np.isfinite(column))
         if 0 < len(bad) < len(log) or np.isinf(column).any():
             yield refuse(

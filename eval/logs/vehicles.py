@@ -32,9 +32,10 @@ def choose(records: Sequence[Record], where: Mapping[str, str | float]) -> list[
             raise UserError(f"{records[0].path}: no column {shown(column)} to choose rows by{named}")
         for k, record in enumerate(records):
             if (values := _cells(record).get(column)) is not None:
-                rows = np.array([_same(value, wanted) for value in values])
+                text = _text(wanted)
+                rows = np.array([_text(value) == text for value in values])
                 if not rows.any():
-                    found = [shown(_plain(value), 40) for value in _distinct(values)]
+                    found = [shown(_text(value), 40) for value in _distinct(values)]
                     never = f"{record.path}: column {shown(column)} is never {shown(wanted, 40)}"
                     raise UserError(f"{never}; {choices(found, str(wanted))}" if found else never)
                 records[k] = record.rows(rows)
@@ -56,7 +57,7 @@ def check_one(record: Record, t: np.ndarray, position: Sequence[str]) -> None:
             continue
         within = sum(_length(way[:, values == value]) for value in distinct)
         if within < WITHIN * _length(way):
-            said = [shown(_plain(value), 40) for value in distinct]
+            said = [shown(_text(value), 40) for value in distinct]
             listed = f"{len(said)} values ({', '.join(said[:5])}{', ...' * (len(said) > 5)})"
             option = shlex.quote(f"{name}={said[0]}")
             raise UserError(
@@ -84,15 +85,9 @@ def _distinct(values: np.ndarray) -> list:
     return sorted({*values} - {""})
 
 
-def _plain(value: str | float) -> str:
-    return value if isinstance(value, str) else f"{value:g}"
-
-
-def _same(value: str | float, wanted: str | float) -> bool:
-    """Return whether a cell has the requested value, which may be text for a number."""
-    if isinstance(value, str):
-        return value == str(wanted)
+def _text(cell: str | float) -> str:
+    """Return a cell as text, numbers in their shortest form."""
     try:
-        return value == float(wanted)
+        return f"{float(cell):.15g}"
     except ValueError:
-        return False
+        return str(cell)

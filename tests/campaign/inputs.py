@@ -47,7 +47,7 @@ t = { column = "t", unit = "s", late = 0.0 }
 x = { column = "x", unit = "m", sign = 1, add = 0.0, late = 0.0 }
 y = ["absent", { column = "y" }]
 z = { mean = ["z", "z"] }
-roll = { sum = ["roll", "roll"] }
+roll = { mean = ["roll", "roll"] }
 pitch = "pitch"
 cmd_thrust_pwm = "cmd_thrust_pwm"
 """

@@ -94,10 +94,10 @@ def test_a_fault_is_safe_in_time_at_rest_and_inside(plan):
 def test_the_limit_of_a_vehicle_left_alone_is_what_commands_can_do(plan):
     """From hover at each of the starts: 0.5 s of full thrust and lean, then full thrust, then none."""
     v = plan.final.policy.task.vehicle
-    starts = FlightOptions("landing").load()[2]
+    starts = [plan.start_point for plan in FlightOptions("landing").plans()]
     plant, farthest = make_plant("mujoco", 2 * len(starts), v, threads=1), 0.0
     plant.set_platform(np.arange(plant.n), 0.0, False)
-    plant.reset(np.arange(plant.n), hover_states(np.array([[x, 0.0, z] for x, z in starts * 2]), v))
+    plant.reset(np.arange(plant.n), hover_states(np.array(starts * 2), v))
     lean = np.repeat([v.command_angle_limit, -v.command_angle_limit], len(starts))
     for k in range(300):
         time, command = k * v.command_control_period, np.zeros((plant.n, 4))

@@ -11,7 +11,7 @@ from scipy.spatial.transform import Rotation
 from inclined_landing.eval.cli import main
 from inclined_landing.eval.logs import FlightLog, check_log, read_log, write_log
 from inclined_landing.eval.logs.checks import check_fleet, enforce, hover_command
-from inclined_landing.eval.logs.log import GAP_SECONDS
+from inclined_landing.eval.logs.log import FIELDS, GAP_SECONDS
 from inclined_landing.eval.logs.motion import standing
 from inclined_landing.eval.logs.read import log_table
 from inclined_landing.models.base.errors import UserError
@@ -66,13 +66,8 @@ def flight(
 
 def change(log: FlightLog, **columns) -> FlightLog:
     """The flight with changed columns, by their names in the CSV."""
-    fields = {
-        "position": ["x", "y", "z"],
-        "attitude": ["roll", "pitch", "yaw"],
-        "command": ["cmd_thrust_pwm", "cmd_roll", "cmd_pitch", "cmd_yaw_rate"],
-    }
     table = log_table(log).assign(**columns)
-    changed = {field: names for field, names in fields.items() if set(names) & set(columns)}
+    changed = {field: list(names) for field, names in FIELDS.items() if set(names) & set(columns)}
     return dataclasses.replace(log, **{f: table[names].to_numpy(float) for f, names in changed.items()})
 
 
@@ -272,6 +267,21 @@ def test_flights_of_two_vehicles():
     assert "different vehicles are mixed: a0, a1, a2 hover at" in mixed.text and "b1, b0 at" in mixed.text
     (unlike,) = check_fleet([one[0], flight(5, hover=45_500, name="c")])
     assert unlike.decision == "limit" and "are they of one vehicle with one load?" in unlike.text
+
+
+def test_a_battery_that_empties_makes_no_other_vehicle():
+    """Thrust follows command times voltage: what hovers at 42 000 at 4 V takes 46 700 at 3.6 V."""
+
+    def at(volts, hover):
+        log = flight(hover=hover * 4.0 / volts, name=f"{volts:g} V")
+        return dataclasses.replace(log, voltage=np.full(len(log), volts))
+
+    full, empty, other = at(4.2, 42_000), at(3.6, 42_000), at(3.6, 48_000)
+    assert check_fleet([full, empty]) == ()
+    (mixed,) = check_fleet([dataclasses.replace(log, voltage=None) for log in (full, empty)])
+    assert mixed.decision == "refuse" and mixed.text.endswith("PWM")
+    (mixed,) = check_fleet([full, empty, dataclasses.replace(other, name="other")])
+    assert mixed.decision == "refuse" and re.search(r"other at \d+ PWM at 4 V$", mixed.text)
 
 
 def on_the_floor(log: FlightLog, rows: slice) -> FlightLog:

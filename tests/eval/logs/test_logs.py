@@ -385,7 +385,6 @@ CLOCKS = {  # name of the column, and its cells
     "tick of 32 bits": lambda t: np.round(1e6 * t - 2e5) % 2**32,
     "time of day": lambda t: [f"{h:02}:{m:02}:{s:09.6f}" for h, m, s in map(_of_day, t + 86399.8)],
     "date": lambda t: [f"2024-02-29T10:20:{s:09.6f}Z" for s in t],
-    "stamp": lambda t: [f"{int(s + 99.8)}.{round(1e9 * ((s + 99.8) % 1))}" for s in t],
     "header.stamp.secs,header.stamp.nsecs": lambda t: [
         f"{int(s + 99.8)},{round(1e9 * ((s + 99.8) % 1))}" for s in t
     ],
