@@ -643,7 +643,7 @@ pitch = [{{ column = "cmd_pitch" }}, {{ column = "cmd_yaw_rate" }}]
     ("header = [0]\n[columns]\nz = 'z'", "header"),
     ("x = 1", "unknown entry 'x' in the file"),
     ("[columns]\nheight = 'z'", r"\[columns\] height is not one of t, x"),
-    ("[columns]\nz = { unit = 'm' }", r"\[columns\] z needs exactly one of column, mean, sum"),
+    ("[columns]\nz = { unit = 'm' }", r"\[columns\] z needs exactly one of column, mean, mean_square"),
     ("[columns]\nz = { column = 'z', unit = 's' }", "unit 's' of column z is unknown"),
     ("[columns]\nz = { column = 'z', sign = 2 }", "sign must be 1 or -1"),
     ("euler = 'XYZ'\n[columns]\nz = 'z'", "euler must be 'ZXY' or 'ZYX', not 'XYZ'"),
