@@ -228,14 +228,8 @@ class TrainConfig:
 
     def least_steps(self, task: type[Task] | Task) -> int:
         """Number of environment steps before which a resolved run of a task does not end by success."""
-        usual = CARRIED_ON if self.goes_on(task) else task.training.min_steps
+        usual = CARRIED_ON if _is_of(self.start_from, task) else task.training.min_steps
         return min(usual, self.most_steps())
-
-    def goes_on(self, task: type[Task] | Task) -> bool:
-        """Return whether the run starts from a policy of its own task."""
-        from inclined_landing.envs.policy import trained_task
-
-        return self.start_from not in (None, DESCENT) and trained_task(self.start_from) == task.name
 
     def as_json(self) -> dict:
         """Return the configuration with JSON types only."""
@@ -280,7 +274,7 @@ def resolve(config: TrainConfig) -> TrainConfig:
 
     # Training that continues from a policy keeps its actions and network; for the same task, its history too.
     policy = None if values["start_from"] == DESCENT else values["start_from"]
-    same_task = dataclasses.replace(config, start_from=policy).goes_on(kind)
+    same_task = _is_of(policy, kind)
     before = trained_options(policy) if policy is not None and same_task else {}
     values |= _ending(config, usual)
     if same_task and config.history is None:
@@ -302,6 +296,13 @@ def resolve(config: TrainConfig) -> TrainConfig:
         "randomise": None if randomise is None else Path(randomise),
     }
     return dataclasses.replace(config, **values)
+
+
+def _is_of(policy: str | None, task: type[Task] | Task) -> bool:
+    """Return whether there is a policy to start from, and it is one of this task."""
+    from inclined_landing.envs.policy import trained_task
+
+    return policy not in (None, DESCENT) and trained_task(policy) == task.name
 
 
 def _with_defaults(config: TrainConfig, usual: Training) -> dict[str, Any]:
