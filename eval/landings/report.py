@@ -13,9 +13,10 @@ import pandas as pd
 
 from inclined_landing.envs.shared.measures import Measure, Row, median_of, share, share_of, with_ends
 from inclined_landing.eval.base.style import save_figure
-from inclined_landing.eval.landings import maps, sensitivity
+from inclined_landing.eval.landings import maps
 from inclined_landing.eval.landings.landing import OUTCOMES
 from inclined_landing.eval.landings.parameters import known_parameters
+from inclined_landing.eval.landings.sensitivity import variance_shares
 from inclined_landing.eval.landings.study import LandingStudy, Levels, Range
 from inclined_landing.eval.study import engine
 from inclined_landing.eval.study.engine import Results, View, fact
@@ -65,17 +66,20 @@ SENSITIVITIES = (
 
 @dataclasses.dataclass(frozen=True, kw_only=True)
 class Sensitivities(View):
-    """The dependence of the outcomes on each varied parameter."""
+    """The share of the variance of each result by each varied parameter."""
 
     varied: tuple[str, ...]
 
     def rows(self, landings: pd.DataFrame) -> Iterator[dict[str, Any]]:
-        """Yield a row for each parameter and measure."""
-        parameters = {name: landings[name].to_numpy() for name in self.varied}
-        names = [m.name.removeprefix("index_") for m in SENSITIVITIES]
-        outputs = {name: landings[name].to_numpy(float) for name in names}
-        for row in sensitivity.rows(parameters, outputs):
-            yield row | {"unit": "1", "flights": len(landings)}
+        """Yield a row for each parameter and measure; landings without the result are omitted."""
+        parameters = [landings[name].to_numpy() for name in self.varied]
+        results = {m.name: landings[m.name.removeprefix("index_")].to_numpy(float) for m in self.measures}
+        shares = {name: variance_shares(parameters, values) for name, values in results.items()}
+        about = {"statistic": "share of the variance", "unit": "1", "flights": len(landings), "value": None}
+        for k, parameter in enumerate(self.varied):
+            for name, found in shares.items():
+                known = {} if found is None else dict(zip(("value", "low", "high"), map(float, found[k])))
+                yield {"parameter": parameter, "measure": name} | about | known
 
 
 @dataclasses.dataclass(frozen=True, kw_only=True)

@@ -1,9 +1,8 @@
-"""Sensitivity to each varied parameter, computed from the landings of a study without further runs."""
+"""Shares of the variance of a result by each varied parameter, from the landings of a study alone."""
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
-from typing import Any
+from collections.abc import Sequence
 
 import numpy as np
 from threadpoolctl import threadpool_limits
@@ -12,19 +11,6 @@ _BINS = 20  # of a parameter, at most; one of no more values has a bin for each
 _LANDINGS = 10  # for each bin, at least
 _BLOCKS = 20  # of landings that the jackknife leaves out in turn
 _RIDGE = 1e-6  # landings; tells parts of collinear parameters apart, evenly
-
-
-def rows(parameters: dict[str, np.ndarray], outputs: dict[str, np.ndarray]) -> Iterator[dict[str, Any]]:
-    """Yield a row for each parameter (n,) and output (n,): its share of the output's variance.
-
-    NaN of an output are omitted. See `variance_shares`.
-    """
-    shares = {target: variance_shares(list(parameters.values()), y) for target, y in outputs.items()}
-    for k, name in enumerate(parameters):
-        for target, found in shares.items():
-            about = {"parameter": name, "measure": f"index_{target}", "statistic": "share of the variance"}
-            known = {} if found is None else dict(zip(("value", "low", "high"), map(float, found[k])))
-            yield about | {"value": None} | known
 
 
 @threadpool_limits.wrap(limits=1, user_api="blas")  # on matrices so small a second thread only waits

@@ -35,22 +35,15 @@ class Recording:
     attitude: np.ndarray  # (T, 3) roll, pitch, yaw, rad
     velocity: np.ndarray  # (T, 3) m/s
     commands: np.ndarray  # (T, 4) PWM, rad, rad, rad/s, from t on
-    points: Sequence[np.ndarray] | None = (
-        None  # T arrays (k, 3) m, contacts that carry force; None: not known
-    )
+    # T arrays (k, 3) m, contacts that carry force; None: not known
+    points: Sequence[np.ndarray] | None = None
     forces: Sequence[np.ndarray] | None = None  # T arrays (k, 3) N, on the vehicle
     events: list[tuple[float, str]] = dataclasses.field(default_factory=list)  # time [s] and what happens
-    restarts: np.ndarray = dataclasses.field(
-        default_factory=lambda: np.zeros(0, int)
-    )  # first rows of segments
+    # First rows of segments.
+    restarts: np.ndarray = dataclasses.field(default_factory=lambda: np.zeros(0, int))
     azimuth: float = 0.0  # of the platform, rad
     goal: np.ndarray | None = None  # (13,) the task's goal as a state
     goal_size: float | None = None  # half width of its box, m
-
-    @property
-    def duration(self) -> float:
-        """Length of the flight [s]."""
-        return float(self.t[-1])
 
     def downsampled(self, most: int) -> Recording:
         """Return a copy with at most about `most` rows, evenly chosen; segments keep their ends."""

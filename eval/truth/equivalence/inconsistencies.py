@@ -51,16 +51,11 @@ def code_planar(y: np.ndarray, u: np.ndarray, v: Vehicle) -> np.ndarray:
     )
 
 
-@dataclasses.dataclass(frozen=True)
-class Drag:
-    """The public code's drag against the paper's, over states of planar flight."""
+def drag(v: Vehicle, sequences: Sequences) -> tuple[float, float]:
+    """Return the rms of the paper's drag, and of the public code's difference from it [m/s2].
 
-    paper: float  # m/s2, rms of the paper's drag
-    error: float  # m/s2, rms of the difference
-
-
-def drag(v: Vehicle, sequences: Sequences) -> Drag:
-    """Return the drag comparison along flights of the paper's equations under planar `sequences`."""
+    The states are those of the paper's equations under planar `sequences`.
+    """
     commands = sequences.commands
     flown = flying.fly(flying.equations(commands.shape[1], "kinematic", vehicle=v), commands)
     without = dataclasses.replace(v, drag_coefficients=(0.0, 0.0, 0.0))
@@ -71,7 +66,8 @@ def drag(v: Vehicle, sequences: Sequences) -> Drag:
         y = state[[X, Z, VX, VZ, PITCH, LAG]]
         codes.append(code_planar(y, command[[PWM, PITCH_COMMAND]], v)[2:4] - free)
     paper, code = np.array(papers), np.array(codes)
-    return Drag(*(float(np.sqrt((gap**2).sum(axis=1).mean())) for gap in (paper, code - paper)))
+    paper_rms, error = (float(np.sqrt((gap**2).sum(axis=1).mean())) for gap in (paper, code - paper))
+    return paper_rms, error
 
 
 def rotation_defects(v: Vehicle, printed: bool) -> tuple[float, float]:
@@ -95,8 +91,8 @@ def section(v: Vehicle, sequences: Sequences) -> Section:
     flight, static = quoted("hover", "flight_pwm"), quoted("hover", "static_pwm")
     factor, g = quoted("hover", "force_factor"), v.environment_gravity
     needed = v.hover_pwm / flight
-    found = drag(v, sequences)
-    share = found.error / found.paper
+    paper_drag, drag_error = drag(v, sequences)
+    share = drag_error / paper_drag
     weight = v.body_mass * g
     speed = rotor_speed_sum(weight, pack(v)[0])
     excess = code_rotor_speed(weight, v) / speed - 1
@@ -116,7 +112,8 @@ def section(v: Vehicle, sequences: Sequences) -> Section:
         "factored": number(v.hover_pwm / factor),
         "needed": needed,
         "explained": 100 * (1 - factor) / (1 - needed),
-        "drag": found,
+        "paper_drag": paper_drag,
+        "drag_error": drag_error,
         "family": sequences.family,
         "share": 100 * share,
         "speed": number(speed),
@@ -138,7 +135,7 @@ def section(v: Vehicle, sequences: Sequences) -> Section:
         "factor_four": excess,
     }
     rows = [tuple(cell.format(**filling) for cell in row) for row in WORDS.tables["inconsistencies"]["rows"]]
-    data = {"drag_rms": found.paper, "drag_error_rms": found.error, "hover_pwm": v.hover_pwm}
+    data = {"drag_rms": paper_drag, "drag_error_rms": drag_error, "hover_pwm": v.hover_pwm}
     data |= {"static_hover_pwm": v.static_hover_pwm, "thrust_stretch": stretch}
     tables = [Table("Inconsistencies", ("what", "paper or code", "here", "consequence"), rows)]
     return WORDS.section("inconsistencies", measured, tables=tables, data=data)

@@ -10,7 +10,7 @@ import numpy as np
 from matplotlib.axes import Axes
 
 from inclined_landing.eval.base.claims import Claim, Section, Table, number
-from inclined_landing.eval.base.colours import BLUE, GREEN, INK, MUTED, ORANGE, PURPLE
+from inclined_landing.eval.base.colours import BLUE, GREEN, INK, MUTED, ORANGE
 from inclined_landing.eval.base.style import legend_below
 from inclined_landing.eval.truth.equivalence import flying
 from inclined_landing.eval.truth.equivalence.flying import (
@@ -160,7 +160,7 @@ def measure(
 @panels(2, 4.6, 4.0)
 def draw(vehicle: Vehicle, gaps: dict[Attitude, Gaps], *axes: Axes) -> None:
     """Draw the position difference of flights over 6 s in both modes."""
-    colours = dict(zip(FAMILIES, (BLUE, GREEN, ORANGE, PURPLE)))
+    colours = dict(zip(FAMILIES, (BLUE, GREEN, ORANGE)))
     for axis, (attitude, flight) in zip(axes, gaps.items()):
         t = vehicle.command_control_period * np.arange(1, len(flight.position) + 1)
         for k, label in enumerate(flight.labels):

@@ -180,12 +180,12 @@ def test_sensitivities_find_what_matters():
     rng = np.random.default_rng(0)
     a, b, c = rng.random((3, 8000))
     y = 2 * a + b  # variances 4 to 1, nothing from c
-    index = list(sensitivity.rows({"a": a, "b": b, "c": c}, {"y": y}))
+    index = sensitivity.variance_shares([a, b, c], y)
     # Twenty bins leave 1/400 of a linear effect's variance inside them.
-    assert [i["value"] for i in index] == pytest.approx([0.8, 0.2, 0.0], abs=0.02)
-    for i in index[:2]:
-        assert i["low"] < i["value"] + 0.01 and i["high"] > i["value"] - 0.01
-    assert next(sensitivity.rows({"a": a}, {"y": np.ones(8000)}))["value"] is None
+    assert index[:, 0] == pytest.approx([0.8, 0.2, 0.0], abs=0.02)
+    for value, low, high in index[:2]:
+        assert low < value + 0.01 and high > value - 0.01
+    assert sensitivity.variance_shares([a], np.ones(8000)) is None
 
 
 def test_shares_of_correlated_parameters_are_counted_once():
