@@ -9,7 +9,7 @@ import tyro
 
 from inclined_landing.envs.shared.command_line import bound, exit_code
 
-from . import causes, flight_table, gap_example, identified, landings, tosses
+from . import causes, gap_example, identified, landings, tosses
 from .gap_blind import command as gap_blind
 
 PROGRAM = "python -m tests.validation"
@@ -18,7 +18,6 @@ COMMANDS = {
     "gap-example": gap_example.command,
     "causes": causes.command,
     "identified": identified.command,
-    "flight-table": flight_table.command,
     "tosses": tosses.command,
     "landings": landings.command,
 }

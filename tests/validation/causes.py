@@ -1,8 +1,7 @@
 """`causes`: known causes in measured flights of five laboratories against what the gap workflow names.
 
 Someone changed something on purpose and recorded it: is it named, and how large? `causes.toml` lists the
-flights and what was told. Beside the workflow stands parameter tuning: all parameters that the model already
-has, fitted together on the workflow's own windows and whitening.
+flights and what was told.
 """
 
 from __future__ import annotations
@@ -19,14 +18,10 @@ from typing import Annotated, Any, Literal
 import numpy as np
 import tyro
 from msgspec import Meta
-from scipy import stats
 
 from inclined_landing.envs.shared.statistics import proportion
 from inclined_landing.eval.gap import diagnose
 from inclined_landing.eval.gap.answer.identification import Identification, identify
-from inclined_landing.eval.gap.infer.fit import fit_least_squares
-from inclined_landing.eval.gap.measured.windows import prepare_all
-from inclined_landing.eval.gap.model.problem import Problem
 from inclined_landing.eval.gap.result import Diagnosis
 from inclined_landing.eval.logs import FlightLog, read_log
 from inclined_landing.models.base.errors import UserError
@@ -38,12 +33,6 @@ from .shared import check_folder, study, table, table_of
 
 HALVES = ("development", "heldout", "fresh")
 _RANGE = re.compile(r"\{(\d+)\.\.(\d+)\.\.(\d+)\}")
-# Effects that rescale a constant of the paper's equations.
-TUNED = tuple(
-    name
-    for name, effect in LIBRARY.items()
-    if any(p.reported and not p.fields[0].startswith("effects_") for p in effect.parameters)
-)
 
 
 def command(
@@ -228,7 +217,6 @@ def answer(data: Path, row: Row) -> dict:
         "found": _found(row, d, known.vehicle, mean_pwm),
         "before": gap.before if gap else None,
         "after": gap.after if gap else None,
-        "tuning": _tuning(row, flights, known.vehicle),
         "seconds": time.perf_counter() - began,
         **judged(row, d),
     }
@@ -245,46 +233,6 @@ def dose_answer(data: Path, row: Row) -> dict:
         "refused": refused,
         "found": {"value": p.value, "ci95": list(p.ci95)},
     }
-
-
-def _tuning(row: Row, flights: Sequence[FlightLog], vehicle: Vehicle) -> dict | None:
-    """Return what parameter tuning names on the same flights."""
-    right, allowed = set(row.right), set(row.right) | set(row.beside)
-    try:
-        names = tune(flights, vehicle)
-    except UserError:
-        return None
-    return {"right": bool(names & right), "wrong": len(names - allowed), "names": sorted(names)}
-
-
-def tune(flights: Sequence[FlightLog], vehicle: Vehicle) -> set[str]:
-    """Return which of TUNED are off: the 95 % interval leaves out nominal, by more than is negligible."""
-    problem = Problem.of(prepare_all(flights, vehicle, False)[0], vehicle, LIBRARY)
-    names = [name for name in TUNED if name in problem.library]
-    fit = fit_least_squares(problem, {name: {} for name in names}, iterations=15)
-    error = _standard_errors(fit.linear.a, fit.linear.b)
-    quantile = stats.t.ppf(0.975, max(1, problem.groups - 1))
-    found = set()
-    for column, e in zip(fit.linear.columns, error):
-        p = problem.parameter(column)
-        name, parameter = column.key
-        value = fit.values[name][parameter]
-        if abs(value - p.neutral) > max(quantile * e, p.negligible):
-            found.add(column.effect)
-    return found
-
-
-def _standard_errors(a: np.ndarray, b: np.ndarray) -> np.ndarray:
-    """Return the cluster-robust standard errors (P,) of a fit (sandwich estimator), a (g, P, P), b (g, P)."""
-    # A^-1 [n/(n-1) sum_g s_g s_g'] A^-1,  s_g = b_g - a_g x the score of group g at the solution x (Liang and
-    # Zeger 1986), in units of the diagonal of A; at least by the windows' noise, A^-1.
-    total, n = a.sum(axis=0), len(a)
-    unit = np.sqrt(np.maximum(np.diag(total), 1e-300))
-    inverse = np.linalg.inv(total / np.outer(unit, unit) + 1e-9 * np.eye(len(unit)))
-    scores = b / unit - a / np.outer(unit, unit) @ (inverse @ (b.sum(axis=0) / unit))
-    clustered = inverse @ (scores.T @ scores * n / max(1, n - 1)) @ inverse
-    error = np.sqrt(np.maximum(np.diag(clustered), np.diag(inverse))) / unit
-    return np.where(np.diag(total) > 0.0, error, np.inf)
 
 
 def _inconsistent(d: Diagnosis) -> list[str]:
@@ -347,8 +295,6 @@ def summary(results: Sequence[dict]) -> dict[str, dict]:
     clear = [r for r in kinds["cause"] if r["strength"] != "weak"]
     told = [r for r in kinds["cause"] if r["told"]]
     sure = sum(r["sure names"] for r in rows)
-    tuned = [r for r in rows if r["tuning"]]
-    named = sum(len(r["tuning"]["names"]) for r in tuned)
 
     def share(words: str, some: Sequence[dict], hit: Callable[[dict], Any]) -> dict[str, dict]:
         return {words: proportion(sum(map(bool, map(hit, some))), len(some))}
@@ -362,10 +308,6 @@ def summary(results: Sequence[dict]) -> dict[str, dict]:
         **share("causes outside the library that are flagged", kinds["unknown"], lambda r: r["flagged"]),
         **share("verdict unknown for a known cause", kinds["cause"], lambda r: r["verdict"] == "unknown"),
         **share("the same, nothing changed", kinds["nothing"], lambda r: r["verdict"] == "unknown"),
-        **share(
-            "parameter tuning: right name", [r for r in clear if r["tuning"]], lambda r: r["tuning"]["right"]
-        ),
-        "parameter tuning: names that are wrong": proportion(sum(r["tuning"]["wrong"] for r in tuned), named),
     }
 
 
@@ -388,7 +330,7 @@ def errors(results: Sequence[dict]) -> str:
 def cells(r: dict) -> dict[str, str]:
     """Return a row as a line of the table."""
     line = dict.fromkeys(("set", "told", "flights", "verdict", "sure", "possible"), "")
-    line |= dict.fromkeys(("recorded size", "found", "error after 1 s [cm]", "tuning"), "")
+    line |= dict.fromkeys(("recorded size", "found", "error after 1 s [cm]"), "")
     line |= {"set": r["set"], "told": r["name"]}
     if "error" in r:
         return line | {"verdict": f"not read: {r['error']}"}
@@ -398,14 +340,12 @@ def cells(r: dict) -> dict[str, str]:
     if r["kind"] == "dose":
         return line | {"recorded size": f"{r['parameter']} at {r['dose']:g}"}
     odd = f"; inconsistent: {', '.join(r['inconsistent'])}" if r["inconsistent"] else ""
-    tuning = r["tuning"]
     return line | {
         "verdict": r["verdict"] + odd,
         "sure": "; ".join(_names(r, True)),
         "possible": ", ".join([*_names(r, False), *r["possible"]]),
         "recorded size": f"{r['told']['of']} {r['told']['value']:g}" if r["told"] else "",
         "error after 1 s [cm]": f"{100 * r['before']:.0f} to {100 * r['after']:.0f}" if r["before"] else "",
-        "tuning": f"{'right' if tuning['right'] else 'missed'}, {tuning['wrong']} wrong" if tuning else "",
     }
 
 

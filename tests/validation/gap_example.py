@@ -7,10 +7,9 @@ docs/evidence/teaching.md.
 from __future__ import annotations
 
 import tomllib
-from typing import Annotated
+from typing import Literal
 
 import numpy as np
-import tyro
 
 from inclined_landing.envs.shared import runs
 from inclined_landing.eval.base.options import Folder, Seed
@@ -20,7 +19,6 @@ from inclined_landing.models.parameters import load_vehicle, write_vehicle
 from tests.validation.gap_blind.causes import Drawn
 from tests.validation.gap_blind.generate import fly_all, logs, write_csv
 from tests.validation.gap_blind.score import NOT_COMPARED
-from tests.validation.shared import check_known
 
 _NUMBERS = {name: next(iter(values.values())) for name, values in tomllib.loads(HIDDEN).items()}
 EXAMPLE = Drawn(
@@ -45,18 +43,18 @@ SETS = {"fit": 10, "heldout": 10}  # every kind of ordinary flight once in each
 
 
 def command(
-    out: Folder, cause: Annotated[str | None, tyro.conf.arg(metavar="CAUSE")] = None, seed: Seed = 0
+    out: Folder,
+    cause: Literal["thrust_scale", "attitude_delay", "com_offset", "battery_voltage"] | None = None,
+    seed: Seed = 0,
 ) -> None:
     """Write twenty flights with hidden effects, from an independent simulator.
 
     Args:
         out: new folder for fit/*.csv, heldout/*.csv and truth.toml, the vehicle with what is hidden (where
             the library gives it the same size).
-        cause: thrust_scale, attitude_delay, com_offset or battery_voltage, in place of the effects of
-            landing-eval gap-example.
+        cause: in place of the effects of landing-eval gap-example.
         seed: of paths and noise.
     """
-    check_known("cause", [] if cause is None else [cause], CAUSES)
     drawn = EXAMPLE if cause is None else CAUSES[cause]
     with runs.staged_run(out) as folder:
         for k, (name, count) in enumerate(SETS.items()):

@@ -1,10 +1,10 @@
-"""What the commands share: tables in Markdown, known names, and studies of cases answered in processes."""
+"""What the commands share: tables in Markdown, and studies of cases answered in processes."""
 
 from __future__ import annotations
 
 import multiprocessing
 import os
-from collections.abc import Callable, Collection, Iterable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from concurrent.futures import ProcessPoolExecutor, as_completed
 from concurrent.futures.process import BrokenProcessPool
 from pathlib import Path
@@ -14,13 +14,6 @@ from inclined_landing.envs.shared import runs
 from inclined_landing.envs.shared.progress import stages
 from inclined_landing.models.base import storage
 from inclined_landing.models.base.errors import UserError
-
-
-def check_known(what: str, names: Iterable[str], known: Collection[str]) -> None:
-    """Raise UserError unless all names are known."""
-    for name in names:
-        if name not in known:
-            raise UserError(f"unknown {what} {name!r}; choose from {', '.join(known)}")
 
 
 def check_folder(data: Path) -> None:

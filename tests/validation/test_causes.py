@@ -1,4 +1,4 @@
-"""Known causes in real flights: the file of rows, the judgement, and the counts; made-up flights only."""
+"""Known causes in real flights: the file of rows, and the judgement; made-up flights only."""
 
 import dataclasses
 from fnmatch import fnmatch
@@ -15,19 +15,6 @@ ROW = causes.Row(
     right=("mass", "thrust_scale"),
     beside=("attitude_trim",),
 )
-RESULT = {
-    **{"set": "lab", "name": "a weight", "kind": "cause", "half": "development", "strength": "strong"},
-    **{"dose": None, "told": {"of": "thrust", "value": 0.9, "tolerance": 0.02}, "verdict": "effects"},
-    **{"found": {"value": 0.893, "ci95": [0.87, 0.917]}, "before": 0.612, "after": 0.148, "inconsistent": []},
-    "tuning": {"right": True, "wrong": 1, "names": ["mass", "rotor_drag"]},
-    **{"right sure": True, "right possible": True, "sure names": 1, "wrong": [], "flagged": False},
-}
-DOSE = {"set": "lab", "name": "gain of 0.005", "kind": "dose", "dose": 0.005}
-ERROR = {"set": "lab", "name": "lost", "kind": "cause", "half": "development", "error": "lab: no file like a"}
-
-
-def made(**changed):
-    return RESULT | changed
 
 
 def test_rows_are_well_formed():
@@ -123,27 +110,3 @@ def test_found_thrust_is_that_over_mass():
     assert causes._found(told, both, vehicle, vehicle.hover_pwm)["value"] == pytest.approx(1.0)
     assert causes._found(told, diagnosis(effect("wind", ["wind"])), vehicle, vehicle.hover_pwm) is None
     assert causes._found(ROW, diagnosis(scaled), vehicle, vehicle.hover_pwm) is None  # no size was told
-
-
-def test_summary_counts_by_hand():
-    weak = made(strength="weak") | {"right sure": False}
-    possible = made(found=None) | {"right sure": False, "sure names": 2, "wrong": ["wind"]}
-    outside = made(kind="unknown", told=None, found=None, flagged=True)
-    same = made(kind="nothing", told=None, found=None) | {"sure names": 0, "verdict": "unknown"}
-    narrow = made(found={"value": 0.8, "ci95": [0.7, 0.879]})  # with the tolerance of 0.02 short of 0.9
-    touching = made(found={"value": 0.8, "ci95": [0.7, 0.881]})
-    results = [RESULT, weak, possible, outside, same, narrow, touching, ERROR, DOSE]
-    counts = [(share["count"], share["of"]) for share in causes.summary(results).values()]
-    assert counts == [
-        (3, 4),  # sure: the weak one does not count
-        (4, 4),  # possible
-        (1, 7),  # wrong
-        (3, 5),  # interval: one was not found, one is too narrow
-        (0, 1),  # nothing changed
-        (1, 1),  # outside the library
-        (0, 5),  # called unknown, of known causes
-        (1, 1),  # the same, nothing changed
-        (4, 4),  # tuning
-        (7, 14),
-    ]
-    assert "61 to 15 cm" in causes.errors(results)

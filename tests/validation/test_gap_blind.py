@@ -1,15 +1,10 @@
 """The blind test: the seed alone decides a case, fresh families are others, and the scorer counts right."""
 
-import json
-import re
-
 import numpy as np
 import pytest
 
 from inclined_landing.models import effects
-from inclined_landing.models.base.errors import UserError
-from tests.validation import shared
-from tests.validation.gap_blind import cases, causes, command, score
+from tests.validation.gap_blind import cases, causes, score
 from tests.validation.simulator import FAMILIES
 
 
@@ -72,22 +67,18 @@ def label(hidden="wind", size="medium", parameters=None):
     return {"causes": names, "size": size if names else None, "parameters": parameters}
 
 
-def report(*named, verdict=None, sure=False, possible=()):
+def report(*named):
     """named: (name, class, values with their interval)."""
     found = [
         {
             "name": name,
             "members": [name, *members],
-            "sure": sure,
+            "sure": False,
             "parameters": {key: {"value": x[0], "ci95": x[1:]} for key, x in values.items()},
         }
         for name, members, values in named
     ]
-    return {
-        "verdict": verdict or ("effects" if named else "nothing"),
-        "effects": found,
-        "possible": dict.fromkeys(possible, 0.4),
-    }
+    return {"verdict": "effects" if named else "nothing", "effects": found}
 
 
 WIND, TRIM = ("wind", (), {}), ("attitude_trim", ("wind",), {})
@@ -142,60 +133,3 @@ def test_intervals_are_compared_with_what_was_hidden():
         assert held("battery_sag", truth, "battery_sag", (), sag) == {"slope over load": inside}
     assert held("com_offset", {"x": 0.001}, "com_offset", (), {"x": (0.001, 0.0, 0.002)}) == {}
     assert held("wind", {"x": 0.2, "y": 0.0}, *TRIM) == {}  # another name of its class says nothing of it
-
-
-# What is hidden, what is answered, and the shares of which it is one case, with whether it is in them.
-SURE, SINGLE = "sure names that are wrong", "one cause, medium or strong: sure and alone"
-QUIET, WRONG_NOTHING = (words for words in command.SHARES if "`nothing`" in words)
-OUTSIDE = "cause outside the library: `unknown`"
-BESIDE = "`unknown` together with a right sure name"
-
-
-@pytest.mark.parametrize(
-    ("label", "report", "expected"),
-    [
-        (label(""), report(), {QUIET: 1, WRONG_NOTHING: 0, SINGLE: None}),
-        (label(""), report(verdict="undecided"), {QUIET: 0, WRONG_NOTHING: None}),
-        (label(), report(), {WRONG_NOTHING: 1, QUIET: None, SINGLE: 0}),
-        (label(size="weak"), report(), {WRONG_NOTHING: 0, SINGLE: None}),  # a weak one may be missed
-        (label("gust"), report(), {WRONG_NOTHING: 0}),
-        (label(), report(WIND, sure=True), {SINGLE: 1, SURE: 0, BESIDE: 0}),
-        (label(), report(WIND), {SINGLE: 0, SURE: None, BESIDE: None}),
-        (label(), report(DRAG, sure=True, verdict="unknown"), {SINGLE: 0, SURE: 1, BESIDE: None}),
-        (label(), report(WIND, sure=True, verdict="unknown"), {BESIDE: 1}),
-        (label(), report(possible=["wind"]), {"the same, sure or possible": 1}),
-        (label("updraft"), report(verdict="unknown"), {OUTSIDE: 1, SINGLE: None}),
-        (label("gust"), report(DRAG, sure=True), {"only a disturbance: no wrong sure name": 0}),
-    ],
-)
-def test_a_case_counts_in_the_shares_that_are_about_it(label, report, expected):
-    row = score.score_case(label, report) | {"plan": True}
-    found = {words: share["count"] if share["of"] else None for words, share in command.shares([row]).items()}
-    assert {words: found[words] for words in expected} == expected
-
-
-def test_one_command_draws_scores_and_prints_the_table(tmp_path, monkeypatch, capsys):
-    """Of all sets that are installed; the answer, in place of a diagnosis, is that nothing is missing."""
-
-    def answered(folder, work, calls, processes):
-        folder.mkdir(parents=True)
-        labels = {name: case.label() for name, (case,) in calls.items()}
-        return {name: score.score_case(one, report()) | {"plan": True} for name, one in labels.items()}
-
-    monkeypatch.setattr(shared, "answered", answered)
-    monkeypatch.setattr(command.importlib.util, "find_spec", lambda name: None)
-    command.command(tmp_path / "blind", cases=40, seed=3)
-    text = (tmp_path / "blind" / "table.md").read_text()
-    assert text in capsys.readouterr().out and text.startswith("|  | dev | fresh | all |")
-    rows = json.loads((tmp_path / "blind" / "results.json").read_text())["cases"]
-    own = [sum(row["set"] == name for row in rows) for name in ("dev", "fresh")]
-    assert sum(own) == 40 and "| cases | {} | {} | 40 |".format(*own) in text
-    nothing = sum(not row["causes"] for row in rows)
-    assert re.search(rf"{QUIET} \|.*\| {nothing} of {nothing} ", text)
-    failed = {"case": "fresh_0", "set": "fresh", "plan": True} | score.score_case(label(""), report(WIND))
-    sure = {"case": "dev_0", "set": "dev", "plan": True} | score.score_case(label(), report(WIND, sure=True))
-    lines = command.markdown([*[sure] * 9, failed]).splitlines()
-    assert f"| {SINGLE} | 9 of 9 [70, 100 %] |  | 9 of 9 [70, 100 %] |" in lines  # Wilson's interval
-    assert lines[-1].startswith(f"| fresh_0 | {QUIET} | effects | wind |")
-    with pytest.raises(UserError, match="--sets rotorpy needs rotorpy; pip install"):
-        command.command(tmp_path / "other", ("rotorpy",))

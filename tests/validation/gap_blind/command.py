@@ -4,9 +4,8 @@ from __future__ import annotations
 
 import importlib.util
 from collections.abc import Callable, Mapping, Sequence
-from typing import Annotated
+from typing import Annotated, Literal
 
-import tyro
 from msgspec import Meta
 
 from inclined_landing.envs.shared.statistics import proportion
@@ -18,7 +17,7 @@ from inclined_landing.eval.gap.result import Diagnosis
 from inclined_landing.models.base.errors import UserError
 from inclined_landing.models.parameters import load_vehicle
 
-from ..shared import check_known, study, table, table_of
+from ..shared import study, table, table_of
 from .cases import ROTORPY, SETS, Case, population
 from .score import score_case
 
@@ -27,7 +26,7 @@ _ROTORPY = ("rotorpy", "torch", "torchdiffeq", "roma")
 
 def command(
     out: Folder,
-    sets: Annotated[tuple[str, ...], tyro.conf.arg(metavar="{dev,fresh,rotorpy} ...")] = (),
+    sets: tuple[Literal["dev", "fresh", "rotorpy"], ...] = (),
     cases: Annotated[int, Meta(ge=1, le=10**4)] = 120,
     seed: Seed = 0,
     processes: Annotated[int, Meta(ge=1, le=256)] = 2,
@@ -42,7 +41,6 @@ def command(
         seed: of cases and flights.
         processes: cases at a time.
     """
-    check_known("set", sets, SETS)
     missing = [name for name in _ROTORPY if importlib.util.find_spec(name) is None]
     if missing and ROTORPY in sets:
         raise UserError(f"--sets rotorpy needs {missing[0]}; pip install 'inclined-landing[baselines]'")
