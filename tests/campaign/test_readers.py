@@ -27,6 +27,7 @@ from inclined_landing.envs.randomise import read_ranges
 from inclined_landing.envs.tasks import make_task
 from inclined_landing.envs.tasks.base import hover_states
 from inclined_landing.eval import cli
+from inclined_landing.eval.gap.model.reference import read_reference
 from inclined_landing.eval.landings.run import design
 from inclined_landing.eval.landings.study import read_study
 from inclined_landing.eval.logs import FlightLog, limits, motion, read_log
@@ -101,6 +102,13 @@ def is_drawn(study) -> None:
     """Every landing has its parameters and its start."""
     drawn, start = design(study)
     assert len(start) and all(np.isfinite(drawn[parameter.name]).all() for parameter in study.parameters)
+
+
+def is_a_posterior(reference) -> None:
+    """Mean and covariance are finite numbers of as many columns."""
+    n = len(reference.columns)
+    assert reference.mean.shape == (n,) and reference.covariance.shape == (n, n)
+    assert np.isfinite(reference.mean).all() and np.isfinite(reference.covariance).all()
 
 
 @functools.cache
@@ -216,6 +224,7 @@ RUN = {
     "run/evaluations.csv": b"steps,score,strict_success\n8192,0.5,0.4\n16384,0.75,0.7\n",
 }
 VEHICLE = (resources.files("inclined_landing.models") / "crazyflie.toml").read_text("utf-8")
+VEHICLES, LEE = ROOT / "models" / "vehicles", "crazyflie-2.1-lee"
 RECIPE = shipped_recipes()["landing"].read_text("utf-8")
 FLIGHT = inputs.flight()
 READERS = {
@@ -225,6 +234,11 @@ READERS = {
     ),
     "study": Reader(text("s.toml", inputs.STUDY), lambda f: read_study(f / "s.toml"), is_drawn),
     "recipe": Reader(text("r.toml", RECIPE), lambda f: read_recipe(f / "r.toml").runs()),
+    "posterior": Reader(
+        lambda: {name: (VEHICLES / name).read_bytes() for name in (f"{LEE}.toml", f"{LEE}.posterior.json")},
+        lambda f: read_reference(f / f"{LEE}.toml", load_vehicle(f / f"{LEE}.toml"))[0],
+        is_a_posterior,
+    ),
     "mapping": Reader(
         lambda: {"m.toml": inputs.MAPPING.encode(), "log.csv": FLIGHT.encode()},
         lambda f: read_log(f / "log.csv", mapping=f / "m.toml"),

@@ -64,15 +64,6 @@ def test_the_navigation_has_every_page_once():
     assert sorted(entries) == sorted([*written, *included.values(), *documents.generated.pages()])
 
 
-def test_pages_for_users_are_short():
-    """Tables of results are in docs/evidence."""
-    names = set(documents.documents()) - {"CONTRIBUTING.md", "CHANGELOG.md", "THIRD_PARTY_NOTICES.md"}
-    texts = ((ROOT / name).read_text("utf-8") for name in names if "/evidence/" not in name)
-    words = re.sub(r"<!--.*?-->", "", " ".join(texts), flags=re.DOTALL).split()
-    assert len(words) < 30_000
-    assert sum(any(letter.isdigit() for letter in word) for word in words) < 0.05 * len(words)
-
-
 @pytest.mark.slow
 def test_the_site_builds_without_a_warning(tmp_path, monkeypatch):
     """Strictly: pages and anchors that links lead to, pages that the navigation lacks, names to document."""

@@ -5,7 +5,6 @@ import sys
 import warnings
 
 import gymnasium as gym
-import imageio_ffmpeg
 import numpy as np
 import pytest
 from gymnasium.envs.registration import EnvSpec
@@ -147,22 +146,6 @@ def test_wrong_resets_and_actions_are_one_sentence(task):
         single.step([0.0])
     with pytest.raises(UserError, match="reward_scale must be a positive number"):
         vec_env(task=task, reward_scale=float("inf"))
-
-
-@pytest.mark.slow
-def test_record_video_writes_a_film_that_plays(tmp_path):
-    pytest.importorskip("moviepy", reason="moviepy is not installed")
-    env = gym.make(IDS["landing"], plant="analytic", **PICTURE)
-    env = gym.wrappers.RecordVideo(env, str(tmp_path), disable_logger=True)
-    env.reset(seed=0)
-    for _ in range(4):
-        env.step(env.action_space.sample())
-    env.close()
-    (film,) = tmp_path.glob("*.mp4")
-    reader = imageio_ffmpeg.read_frames(str(film))
-    meta = next(reader)
-    assert tuple(meta["size"]) == (64, 48) and meta["fps"] == pytest.approx(50)
-    assert len(list(reader)) == 5
 
 
 # --- Gymnasium, many vehicles ------------------------------------------------------------------------

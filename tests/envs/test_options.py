@@ -60,6 +60,19 @@ def test_training_has_the_values_of_its_column(case):
         assert (str(found) if name == "randomise" and found else found) == expected[name], name
 
 
+@pytest.mark.parametrize(("options", "start_from", "dimensions"), [
+    ({}, "descent", 3),
+    ({"fastest": 1.0}, "descent", 3),
+    ({"nominal": True}, "landing-nominal", None),
+    ({"dimensions": 2}, "landing-nominal", 2),
+    ({"start_from": "touchdown"}, "touchdown", 3),
+    ({"start_from": "landing-nominal"}, "landing-nominal", None),
+])  # fmt: skip
+def test_a_touchdown_training_goes_on_from_a_policy_or_a_law(options, start_from, dimensions):
+    resolved = TrainConfig("touchdown", **options).resolved()
+    assert (resolved.start_from, resolved.dimensions) == (start_from, dimensions)
+
+
 def test_a_custom_task_keeps_the_values_that_it_states(tmp_path):
     file = tmp_path / "mine.py"
     file.write_text(

@@ -25,7 +25,6 @@ from inclined_landing.envs import BatchVecEnv, load_policy, make_batch, policy, 
 from inclined_landing.envs.features import ScaledObservation
 from inclined_landing.envs.gym_env import InclinedLandingEnv  # type: ignore
 from inclined_landing.envs.make import make_for
-from inclined_landing.envs.network import tanh
 from inclined_landing.envs.policy_file import METADATA as METADATA_FILE
 from inclined_landing.envs.save import actor_of
 from inclined_landing.envs.tasks import make_task
@@ -71,14 +70,6 @@ def test_an_action_does_not_depend_on_its_neighbours(tmp_path):
     together = loaded.predict(rows)
     assert together.dtype == np.float32
     np.testing.assert_array_equal(together, [loaded.predict(row) for row in rows])
-
-
-def test_networks_are_the_same_where_python_runs_them():
-    """As with NUMBA_DISABLE_JIT=1, which debuggers and coverage need."""
-    values = np.r_[np.random.default_rng(0).normal(scale=5.0, size=200), 0.0, -0.0, 1e300, -1e300]
-    np.testing.assert_array_equal(
-        [tanh.py_func(value) for value in values], [tanh(value) for value in values]
-    )
 
 
 def test_a_policy_file_is_sb3s_too_and_is_read_without_torch(tmp_path):
@@ -143,10 +134,10 @@ def nan_weights(path):
     saved(path, network)
 
 
-def discrete_actions(path):
+def other_spaces(policy="MlpPolicy", **spaces) -> PPO:
     env = Spaces(5, 2)
-    env.action_space = gym.spaces.Discrete(4)
-    PPO("MlpPolicy", env, device="cpu").save(path)
+    vars(env).update(spaces)
+    return PPO(policy, env, device="cpu")
 
 
 def damaged_metadata(path):
@@ -164,7 +155,8 @@ def damaged_metadata(path):
      "takes 8 observations and returns 3 actions, but the task landing has 5 and 2"),
     (lambda path: saved(path, model(8, 3), SETPOINT), "was trained for the task setpoint, not for landing"),
     (nan_weights, "NaN or infinite"),
-    (discrete_actions, "in an action space other than the task's .*save_policy"),
+    (lambda path: other_spaces(action_space=gym.spaces.Discrete(4)).save(path),
+     "in an action space other than the task's .*save_policy"),
     (lambda path: learner(Spaces(5, 2), SAC).save(path), "neither a file of this package nor .*save_policy"),
     (lambda path: saved(path, model(activation_fn=torch.nn.SiLU)), "SiLU"),
     (damaged_metadata, "inclined_landing.json in it is not JSON"),
@@ -370,16 +362,8 @@ def test_arguments_that_are_no_path_of_a_file_are_refused(tmp_path):
     assert [path.name for path in tmp_path.iterdir()] == ["p.zip"]
 
 
-def action_bounds():
-    env = Spaces(5, 2)
-    env.action_space = gym.spaces.Box(-2.0, 2.0, (2,), np.float32)
-    return PPO("MlpPolicy", env, device="cpu")
-
-
-def several_observations():
-    env = Spaces(5, 2)
-    env.observation_space = gym.spaces.Dict({"a": env.observation_space})
-    return PPO("MultiInputPolicy", env, device="cpu")
+BOUNDS = gym.spaces.Box(-2.0, 2.0, (2,), np.float32)
+SEVERAL = gym.spaces.Dict({"a": gym.spaces.Box(-np.inf, np.inf, (5,), np.float32)})
 
 
 def more_tensors():
@@ -394,8 +378,12 @@ def more_tensors():
         (lambda: model(features_extractor_class=Doubled), "features extractor .*Doubled", "PPO, .* Doubled"),
         (lambda: PPO(OwnPolicy, Spaces(5, 2), device="cpu"), "nor one of .*with a standard policy", None),
         (lambda: model(activation_fn=torch.nn.ELU), "activation .*ELU", "PPO, .* has ELU in"),
-        (action_bounds, "action space other than", None),
-        (several_observations, "standard policy|observation space other", "CombinedExtractor"),
+        (lambda: other_spaces(action_space=BOUNDS), "action space other than", None),
+        (
+            lambda: other_spaces("MultiInputPolicy", observation_space=SEVERAL),
+            "standard policy|observation space other",
+            "CombinedExtractor",
+        ),
         (more_tensors, "lstm_actor", None),
     ],
 )

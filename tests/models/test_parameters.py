@@ -57,24 +57,9 @@ WRONG = {  # what stands in the file, what instead, part of the sentence
         '[thrust]\nlag = { value = 1, unit = "1", source = "", uncertainty = 0 }',
         r"thrust\.lag$",
     ),
-    "few": (
-        "[0.04076521, 380.8359]",
-        "[0.04076521]",
-        r"motor\.pwm_to_speed must be a list of 2, each a number",
-    ),
-    "many": ("value = 0.03303", "value = [0.03]", r"body\.mass must be a number, not"),
-    "NaN": ("value = 0.03303", "value = nan", r"\[body\.mass\] value must be a number"),
-    "text": ("value = 0.03303", 'value = "heavy"', r"\[body\.mass\] value must be a"),
-    "no unit": ('unit = "kg", ', "", r"\[body\.mass\] lacks unit"),
     "negative": ("value = 0.03303", "value = -1.0", r"body\.mass is -1 kg; it must be from 0\.001 to 20 kg$"),
     "unit": ('unit = "kg"', 'unit = "g"', r"body\.mass must be in 'kg', not in 'g'"),
     "range": ("[0.001, 20.0]", "[0, 99]", r"body\.mass must not have a range"),
-    "uncertainty": (
-        "uncertainty = 0.0003",
-        "uncertainty = -1",
-        r"\[body\.mass\] uncertainty must be text or a",
-    ),
-    "not TOML": ("[body]", "<mujoco/>", r"is not TOML"),
 }
 
 

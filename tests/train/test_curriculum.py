@@ -2,7 +2,6 @@
 
 import dataclasses
 import itertools
-import json
 import math
 from types import SimpleNamespace
 
@@ -403,41 +402,3 @@ def test_the_fixed_schedule_has_the_adaptive_levels_by_steps_alone():
     episodes(c, 60)
     c.advance(2 * c.RAMP)
     assert c.learning_rate_share(2 * c.RAMP + c.settling, None) == 0.1
-
-
-# --- all ---------------------------------------------------------------------------------------------
-
-ALL = [("adaptive", "landing"), ("fixed", "landing"), ("paper", "landing"), ("none", "landing"),
-       ("effort", "setpoint"), ("none", "setpoint")]  # fmt: skip
-
-
-@pytest.mark.parametrize("name, task", ALL)
-def test_state_survives_json_and_continues_equally(name, task):
-    def advance(c, first, last):
-        for k in range(first, last):
-            episodes(c, 30 + k % 30, 10, length=2 + k)
-            c.advance(30_000 * k)
-
-    c, other = (make_curriculum(name, task, 0.99) for _ in range(2))
-    advance(c, 0, 20)
-    other.restore(json.loads(json.dumps(c.state())))
-    for both in ((0, 0), (20, 40)):
-        advance(c, *both)
-        advance(other, *both)
-        assert other.state() == c.state() and other.conditions() == c.conditions()
-        assert other.level == c.level and other.gamma(9) == c.gamma(9) and other.log() == c.log()
-        shares = [x.learning_rate_share(1_100_000, 1_500_000) for x in (c, other)]
-        assert shares[0] == shares[1]
-
-
-def test_progress_shows_steps_and_the_level():
-    shown = []
-    curriculum, clock = make_curriculum("none", "landing", 0.98), callbacks.TimeSpent()
-    curve = callbacks.LearningCurve(
-        [], curriculum, clock, lambda words, done: shown.append((done, words)), 2500
-    )
-    curve.model = SimpleNamespace(ep_info_buffer=[])
-    for curve.num_timesteps in (1000, 2000, 3000):  # the last iteration is a whole one
-        curve._on_rollout_end()
-    assert shown == [(steps, "level 1.00") for steps in (1000, 2000, 2500)]
-    assert [row["steps"] for row in curve.rows] == [1000, 2000, 3000]

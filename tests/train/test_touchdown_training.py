@@ -1,13 +1,11 @@
-"""Touchdown training: what it goes on from, what it is taught, its curriculum."""
-
-from pathlib import Path
+"""Touchdown training: what its actor begins as and what it is taught."""
 
 import numpy as np
 import pytest
 
 from inclined_landing.envs.batch import BatchEnv
 from inclined_landing.envs.policy import load_policy
-from inclined_landing.envs.tasks import TASKS, StepContext, hover_states, make_task
+from inclined_landing.envs.tasks import StepContext, hover_states, make_task
 from inclined_landing.envs.tasks.touchdown import IDLE_ACTION
 from inclined_landing.models.attitude import PITCH, VX, VZ
 from inclined_landing.models.plants import make_plant
@@ -53,35 +51,3 @@ def test_the_law_comes_in_uphill():
         env.step(law(StepContext(env.plant.state, platform=env.plant.platform), -1.0), np.isnan(speed))
         speed = np.where(np.isnan(speed) & env.touched, before, speed)
     assert not np.isnan(speed).any() and np.median(speed) > 0.3
-
-
-def test_in_space_it_begins_with_the_law_and_in_the_plane_with_a_landing():
-    def begins(**options):
-        return TrainConfig("touchdown", **options).resolved().start_from
-
-    assert begins() == begins(dimensions=3) == begins(fastest=1.0) == "descent"
-    assert begins(nominal=True) == begins(dimensions=2) == "landing-nominal"
-    for name, dimensions in (("touchdown", 3), ("touchdown-nominal", None), ("landing-nominal", None)):
-        resolved = TrainConfig("touchdown", start_from=name).resolved()
-        assert (resolved.start_from, resolved.dimensions) == (name, dimensions)
-    settings = [TrainConfig("touchdown", **o).resolved().log_std_init for o in ({}, {"nominal": True})]
-    assert settings == [-2.2, -1.2]
-
-
-def test_its_training_values_are_its_own():
-    """The landing in the plane on drawn vehicles has others."""
-    names = "environments", "rollout", "gae_lambda"
-    of_class, touchdown = TASKS["touchdown"].training, TrainConfig("touchdown").resolved()
-    landing = TrainConfig("landing").resolved()
-    assert [getattr(touchdown, name) for name in names] == [getattr(of_class, name) for name in names]
-    assert [getattr(touchdown, name) for name in names] != [getattr(landing, name) for name in names]
-
-
-def test_in_space_it_draws_vehicles_unless_platforms_move():
-    def drawn(**options):
-        resolved = TrainConfig("touchdown", **options).resolved()
-        return [getattr(resolved, name) for name in ("randomise", "history", "pwm_span")]
-
-    assert drawn() == drawn(dimensions=3) == [Path("robust"), 3, 25_000.0]
-    assert drawn(fastest=1.0) == [None, 3, 25_000.0]
-    assert drawn(nominal=True) == drawn(dimensions=3, nominal=True) == [None, 0, 16_500.0]

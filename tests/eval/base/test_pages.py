@@ -26,10 +26,6 @@ IN_STYLE = {"{{ super() }}", "{{ paper }}", "{{ style }}"}  # of the program, no
 IN_SCRIPTS = {"{{ script }}", "{{ content }}"}  # the program's own, and JSON that is escaped
 
 
-def test_there_are_templates():
-    assert len(TEMPLATES) >= 4 and ROOM / "base/page.html.j2" in TEMPLATES
-
-
 @pytest.mark.parametrize("path", TEMPLATES, ids=lambda path: f"{path.parent.name}/{path.name}")
 def test_a_template_cannot_write_markup_from_outside(path):
     text = path.read_text("utf-8")

@@ -219,14 +219,6 @@ def test_a_touchdown_comes_to_rest_by_its_own_command(name, policies):
 
 
 @pytest.mark.slow
-def test_a_policy_of_any_slope_flies_over_that_of_the_arena(tmp_path, capsys):
-    """Another one: test_the_command_writes_what_happened."""
-    words = ["fly", "landing-slopes", "--simulated", "--start=1.5,1.8", "--inclination", "10", "--seed=3"]
-    assert cli.main([*words, "--out", str(tmp_path / "out")]) == 0
-    assert "; at rest on the slope" in capsys.readouterr().out
-
-
-@pytest.mark.slow
 def test_a_landing_policy_that_gives_nan_is_landed_by_the_other(policies, tmp_path):
     nan = broken(policies[0], policies[0].predict)
 

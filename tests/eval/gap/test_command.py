@@ -1,4 +1,4 @@
-"""`landing-eval gap` from logs to folder; what it says to logs that are not as they should be."""
+"""`landing-eval gap` from logs to folder; what it says to options that cannot be used."""
 
 import json
 import re
@@ -7,8 +7,6 @@ import numpy as np
 import pytest
 
 from inclined_landing.eval import cli
-from inclined_landing.eval.gap import diagnose
-from inclined_landing.eval.gap.measured.usable import read_flights
 from inclined_landing.eval.gap.model.reference import read_reference
 from inclined_landing.eval.gap.plan.reading import read_report
 from inclined_landing.eval.gap.result import REFERENCE
@@ -30,17 +28,11 @@ def flown():
 
 @pytest.fixture
 def logs(flown, tmp_path):
-    """Writer of CSV files: logs() as flown, logs(a, b) with the first tables changed; returns the names."""
-
-    def write(*changes, count=4):
-        files = []
-        for k, one in enumerate(flown[:count]):
-            changed = changes[k](one.copy()) if k < len(changes) else one
-            files.append(str(tmp_path / f"flight_{k}.csv"))
-            changed.to_csv(files[-1], index=False)
-        return files
-
-    return write
+    """Names of their CSV files."""
+    files = [str(tmp_path / f"flight_{k}.csv") for k in range(len(flown))]
+    for file, table in zip(files, flown):
+        table.to_csv(file, index=False)
+    return files
 
 
 @pytest.fixture
@@ -63,8 +55,7 @@ def gap(tmp_path, capsys):
 
 
 def test_from_logs_to_report_and_corrected_model(logs, gap, tmp_path):
-    files = logs()
-    code, report, _ = gap(*files[:3], "--heldout", files[3])
+    code, report, _ = gap(*logs[:3], "--heldout", logs[3])
     assert code == 0 and {p.name for p in (tmp_path / "out").iterdir()} == FILES
     assert {"thrust_scale", "mass"} <= set(report["effects"][0]["members"])
     assert "Weigh the vehicle" in (tmp_path / "out" / "report.html").read_text("utf-8")
@@ -75,13 +66,12 @@ def test_from_logs_to_report_and_corrected_model(logs, gap, tmp_path):
     corrected = load_vehicle(tmp_path / "out" / "vehicle.toml")
     assert corrected.hover_pwm == pytest.approx(load_vehicle().hover_pwm / 0.88, rel=0.02)
     run = json.loads((tmp_path / "out" / "run.json").read_text("utf-8"))
-    assert run["files"] == files[:3] and "mujoco" in run["versions"]
+    assert run["files"] == logs[:3] and "mujoco" in run["versions"]
 
 
 def test_identification_recovers_a_weak_thrust(logs, tmp_path, capsys):
-    files = logs()
     out = tmp_path / "out"
-    assert cli.main(["identify", *files[:3], "--heldout", files[3], "--out", str(out)]) == 0
+    assert cli.main(["identify", *logs[:3], "--heldout", logs[3], "--out", str(out)]) == 0
     written = {"report.html", "report.json", "run.json", "vehicle.toml", "vehicle.posterior.json"}
     assert {p.name for p in out.iterdir()} == written
     record = json.loads((out / "report.json").read_text("utf-8"))
@@ -99,77 +89,31 @@ def test_identification_recovers_a_weak_thrust(logs, tmp_path, capsys):
 @pytest.mark.slow
 def test_gap_keeps_the_vehicle_that_it_identified(logs, gap, tmp_path):
     """From these flights, or from the file that identify writes of them: the same answer, and a plan."""
-    files = logs()
     one, two = (tmp_path / name for name in ("identified", "alone"))
-    assert cli.main(["identify", *files[:2], "--out", str(one)]) == 0
-    assert cli.main(["gap", *files[2:], "--vehicle", str(one / "vehicle.toml"), "--out", str(two)]) == 0
-    _, report, _ = gap(*files[2:], "--reference", *files[:2])
+    assert cli.main(["identify", *logs[:2], "--out", str(one)]) == 0
+    assert cli.main(["gap", *logs[2:], "--vehicle", str(one / "vehicle.toml"), "--out", str(two)]) == 0
+    _, report, _ = gap(*logs[2:], "--reference", *logs[:2])
     assert report["sets"] == json.loads((two / "report.json").read_text("utf-8"))["sets"]
     kept = load_vehicle(tmp_path / "out" / REFERENCE)
     assert kept == load_vehicle(one / "vehicle.toml")
     assert read_report(tmp_path / "out")[0].vehicle == kept
 
 
-def without(column):
-    return lambda table: table.drop(columns=column)
-
-
-def other_vehicle(table):
-    table["cmd_thrust_pwm"] *= 1.3
-    return table
-
-
-@pytest.mark.parametrize(
-    ("change", "words"), [(without("z"), r"flight_0\.csv.*\bz\b"), (other_vehicle, "different vehicles")]
-)
-def test_what_cannot_be_used_is_refused_in_one_sentence(logs, gap, change, words):
-    """As `landing-eval logs` refuses it: tests/eval/logs has all of it."""
-    code, _, error = gap(*logs(change))
-    assert code == 2
-    assert re.search(words, error), error
-
-
-def with_a_hole(table):
-    return table[(table.t < 4) | (table.t > 6)]
-
-
-def with_some_nan(table):
-    table.loc[100:110, "x"] = np.nan
-    return table
-
-
-def with_a_flat_battery(table):
-    table["vbat"] = 3.9
-    return table
-
-
-def notes_on(files):
-    """What the command would say beside the answer, without the page."""
-    flights = read_flights(files)
-    d = diagnose(flights.logs, load_vehicle(), plants=())
-    return "\n".join((*d.notes, *flights.notes))
-
-
-@pytest.mark.slow
-def test_what_limits_the_answer_is_said_beside_it(logs):
-    files = logs(with_a_hole, with_some_nan, with_a_flat_battery, without("cmd_yaw_rate"))
-    notes = notes_on(files)
-    for words in ("flight_0: .*gap.* 2 s", "flight_1: .*x", "flight_2: .*vbat", "flight_3: .*yaw"):
-        assert re.search(words, notes), notes
-
-
-def test_options_that_cannot_be_used_are_refused(logs, gap, tmp_path):
-    files, loop = logs(), tmp_path / "loop.csv"
+def test_options_that_cannot_be_used_are_refused(flown, logs, gap, tmp_path):
+    """Logs as `landing-eval logs` refuses them: tests/eval/logs has all of it."""
+    loop, flat = tmp_path / "loop.csv", tmp_path / "flat.csv"
     loop.symlink_to(loop)
+    flown[0].drop(columns="z").to_csv(flat, index=False)
     for arguments, words in (
-        ((files[0], files[0]), "more than once"),
-        ((str(loop), files[0]), "loop.csv: cannot be read"),
-        ((files[0], "--heldout", files[0]), "more than once"),
+        ((logs[0], logs[0]), "more than once"),
+        ((str(loop), logs[0]), "loop.csv: cannot be read"),
+        ((flat,), r"flat\.csv.*\bz\b"),
+        ((logs[0], "--heldout", logs[0]), "more than once"),
         ((tmp_path / "none.csv",), r"none\.csv"),
         ((tmp_path,), str(tmp_path)),
-        ((*files, "--vehicle", tmp_path / "none.toml"), r"none\.toml"),
-        ((*files, "--mapping", "no_such"), "no_such"),
-        ((*files, "--unit", "roll"), "COLUMN=UNIT"),
+        ((*logs, "--vehicle", tmp_path / "none.toml"), r"none\.toml"),
+        ((*logs, "--mapping", "no_such"), "no_such"),
+        ((*logs, "--unit", "roll"), "COLUMN=UNIT"),
     ):
         code, _, error = gap(*arguments)
         assert code == 2 and re.search(words, error), error

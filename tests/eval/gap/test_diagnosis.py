@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 from scipy import stats
 
-from inclined_landing.eval.gap import diagnose, gap_example, measure_gap, pipeline
+from inclined_landing.eval.gap import diagnose, gap_example, measure_gap
 from inclined_landing.eval.gap.answer import selection, sizes
 from inclined_landing.eval.gap.answer.identification import identify
 from inclined_landing.eval.gap.infer import sets
@@ -196,30 +196,6 @@ def test_a_speed_of_wind_is_known_no_better_than_drag_at_other_speeds():
     assert sized["mass"]["scale"].ci95 == pytest.approx((1.2 - flown, 1.2 + flown))
     ends = sizes._extrapolated(-3.0, 4.0, 0.3)  # it may be zero: so it may
     assert ends == pytest.approx((-3.0 * np.exp(np.hypot(np.log(7.0 / 3.0), factor)), 1.0), rel=1e-4)
-
-
-def test_no_lag_is_judged_in_a_strong_wind(monkeypatch):
-    """How a stream damps the vehicle looks like one; the attitude loops are not judged there either."""
-    searched = []
-
-    def search(problem, joint):
-        searched.append(set(problem.library))
-        return SimpleNamespace(problem=problem, linear=None)
-
-    monkeypatch.setattr(pipeline, "search", search)
-    monkeypatch.setattr(pipeline, "estimate_noise", lambda problem: (problem, {}))
-    monkeypatch.setattr(pipeline, "in_strong_wind", lambda found: True)
-    monkeypatch.setattr(pipeline, "inconsistent_flights", lambda *_: ())
-    monkeypatch.setattr(selection, "relevant_values", _stop)
-    with pytest.raises(StopIteration):
-        diagnose(flights(count=2, seconds=3.0), VEHICLE)
-    calm, windy = searched
-    assert {"estimator_delay", "motor_lag", "attitude_gain"} <= calm
-    assert calm - windy >= {name for name in calm if LIBRARY[name].is_lag} and "wind" in windy
-
-
-def _stop(_):
-    raise StopIteration
 
 
 def test_thrust_over_weight_is_known_no_better_than_the_references(monkeypatch):

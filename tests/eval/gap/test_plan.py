@@ -22,6 +22,7 @@ from inclined_landing.models.base.errors import UserError
 from inclined_landing.models.effects import LIBRARY
 from inclined_landing.models.parameters import load_vehicle, write_vehicle
 from inclined_landing.models.plants import AnalyticPlant
+from tests.refused import refused
 
 VEHICLE = load_vehicle()
 FREE, SLAB = (pieces.Space.of(VEHICLE, platform) for platform in (False, True))
@@ -278,26 +279,14 @@ def test_no_flight_where_none_is_needed_or_none_tells(tmp_path, capsys):
 
 
 @pytest.mark.parametrize("change, sentence", [
-    ({"sets": None}, "sets must be a list of at least 1 entries"),
     ({"sets": [{"effects": ["drag"], "probability": 1.0}]}, "sets[0] has the unknown effect 'drag'"),
     ({"sets": [{"effects": ["wind"], "probability": 1.0}]}, "sets[0].values.wind is missing"),
-    ({"sets": [{"effects": [], "probability": 2.0}]},
-     "[sets[0]] probability must be a number from 0 to 1, not 2.0"),
     ({"sets": [{"effects": ["wind"], "probability": 1.0, "values": {"wind": {"x": 90.0}}}]},
      "sets[0].values.wind.x is 90; it must be from -20 to 20"),
-    ({"disturbance": {"x": {"noise": -1.0, "size": 0.1, "time": 0.3}}},
-     "[disturbance.x] noise must be a number of at least 1e-09, not -1.0"),
-    ({"disturbance": {"y": {"noise": 0.1, "size": -1.0, "time": 0.3}}},
-     "[disturbance.y] size must be a number of at least 0, not -1.0"),
-    ({"platform": 3}, "platform must be true or false, not 3"),
 ])  # fmt: skip
-def test_bad_reports_are_refused_in_one_sentence(tmp_path, capsys, change, sentence):
+def test_bad_reports_are_refused_in_one_sentence(tmp_path, change, sentence):
     folder = report(tmp_path, WIND, BODY, **change)
-    out = tmp_path / "flight"
-    assert main(["plan", str(folder), "--out", str(out)]) == 2
-    said = capsys.readouterr().err
-    assert sentence in said and said.count("\n") == 1
-    assert not out.exists()
+    refused(main, ["plan", str(folder), "--out", str(tmp_path / "flight")], sentence, tmp_path)
 
 
 # What identification gives a vehicle: delays, a battery, a slower yaw loop, drag and a standing trim.

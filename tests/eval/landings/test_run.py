@@ -18,6 +18,7 @@ from inclined_landing.eval.landings.study import read_study
 from inclined_landing.eval.study import show
 from inclined_landing.models.base.errors import UserError
 from tests.pages import EVIL, check_page
+from tests.refused import refused
 
 STUDY = f"""
 title = {json.dumps("A small one " + EVIL)}
@@ -130,35 +131,23 @@ BAD = [
     ("from = 10, to = 50", "from = 50, to = 50", "parameter inclination: the range is empty"),
     ("from = 0.2, to = 1.4", "from = -0.2, to = 1.4", "friction must be from 0 to 5, not -0.2"),
     ("from = 10, to = 50", "from = 10, to = 60", "inclination must be from 0 to 50 deg, not 60"),
-    ("values = [18, 25]", "values = []", "values must be a list of at least 1 entries"),
-    ("values = [18, 25]", 'values = [18, "x"]', "values[1] must be a number, not 'x'"),
     ("to = 40, ", "to = 40, count = 3, ", "mass needs one of value, values, from and to, or mean"),
     ("values = [18, 25]", "values = [18, 25], from = 3", "foot_height needs one of value, values, from"),
     ('unit = "g"', 'unit = "lb"', "mass needs a unit, kg or g, not 'lb'"),
     ('contact_time = { value = 15, unit = "ms" }', "", "give both restitution and contact_time"),
-    ("seed = 5", "sede = 5", "unknown entry 'sede' in the file"),
     ('"latin-hypercube"', '"factorial"', "a Latin hypercube needs samples"),
     ('["inclination", "friction"]', '["inclination", "thrust"]', "needs two parameters that vary"),
     ("duration = 0.4", "timestep = 0.003", "timestep must divide the control period"),
     ("[parameters]", "[start]\npolicy = 'none.zip'\n[parameters]", "inclination cannot be set in a study"),
-    ("[parameters]", "parameters", "is not TOML"),
 ]
 
 
 @pytest.mark.parametrize(("old", "new", "sentence"), BAD, ids=[b[2][:30] for b in BAD])
-def test_a_wrong_study_is_one_sentence(tmp_path, capsys, old, new, sentence):
+def test_a_wrong_study_is_one_sentence(tmp_path, old, new, sentence):
     path = tmp_path / "bad.toml"
     assert old in STUDY
     path.write_text(STUDY.replace(old, new), "utf-8")
-    assert cli.main(["landings", str(path), "--out", str(tmp_path / "out")]) == 2
-    refused(capsys, tmp_path, sentence, ["bad.toml"])
-
-
-def refused(capsys, folder, sentence, left):
-    printed = capsys.readouterr()
-    assert printed.out == "" and printed.err.count("\n") == 1
-    assert sentence in printed.err
-    assert sorted(p.name for p in folder.rglob("*")) == left
+    refused(cli.main, ["landings", str(path), "--out", str(tmp_path / "out")], sentence, tmp_path)
 
 
 POLICY = (
@@ -171,7 +160,6 @@ WRONG = [
     (["{study}", "--out", "{full}"], "exists and is not empty"),
     (["{study}", "--out", "{full}", "--resume"], "nothing to resume"),
     (["{study}", "--out", "{out}", "--resume"], "nothing to resume"),
-    (["{study}", "--out", "{out}", "--engine", "moon"], "--engine must be local or ray, not 'moon'"),
     (["{study}", "--out", "{out}", "--address", "a:1"], "--address needs --engine ray"),
     (RAY, "pip install 'inclined-landing[ray]'"),
     ([*RAY, "--address", "127.0.0.1:1"], "no Ray cluster answers at 127.0.0.1:1: connection refused"),
@@ -180,7 +168,7 @@ WRONG = [
 
 
 @pytest.mark.parametrize(("words", "sentence"), WRONG, ids=[w[1][:30] for w in WRONG])
-def test_wrong_arguments(study, tmp_path, capsys, monkeypatch, words, sentence):
+def test_wrong_arguments(study, tmp_path, monkeypatch, words, sentence):
     monkeypatch.setitem(sys.modules, "ray", SimpleNamespace(init=None) if "--address" in words else None)
     (tmp_path / "full").mkdir()
     (tmp_path / "full" / "x").touch()
@@ -191,8 +179,7 @@ def test_wrong_arguments(study, tmp_path, capsys, monkeypatch, words, sentence):
         "study": study,
         "policy": tmp_path / "p.toml",
     }
-    assert cli.main(["landings", *(word.format(**places) for word in words)]) == 2
-    refused(capsys, tmp_path, sentence, ["full", "p.toml", "small.toml", "x"])
+    refused(cli.main, ["landings", *(word.format(**places) for word in words)], sentence, tmp_path)
 
 
 def test_a_machine_with_other_packages_is_refused():

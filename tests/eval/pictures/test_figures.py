@@ -10,7 +10,6 @@ from matplotlib.colors import to_hex
 
 from inclined_landing.envs.flights import Flight
 from inclined_landing.envs.tasks import make_task
-from inclined_landing.envs.tasks.landing import LandingConditions
 from inclined_landing.eval import cli
 from inclined_landing.eval.base.style import save_figure
 from inclined_landing.eval.pictures.figures.trajectory import trajectory_figure
@@ -177,25 +176,6 @@ def test_a_table_that_ends_within_a_row_is_drawn_up_to_it(tmp_path, end):
     figure = learning_curves([run])
     (line,) = by_gid(figure.axes[1].lines, "run")
     assert len(line.get_xdata()) == 39
-
-
-# --- starts ---------------------------------------------------------------------------------------
-
-
-@pytest.mark.parametrize("conditions", [
-    LandingConditions(start_reach=0.5, tilt=0.0, goal_size=0.25, platform=False),
-    LandingConditions(start_reach=1.9, tilt=0.5, goal_size=0.2, lowest_start=1.0, start_reach_z=0.6),
-    LandingConditions(),
-])  # fmt: skip
-def test_start_box_is_where_starts_come_from(conditions):
-    task = make_task("landing")
-    task.conditions = conditions
-    starts = task.sample(np.random.default_rng(0), 4000).state[:, [0, 2]]
-    low, high = task.start_box()
-    assert (starts >= low).all() and (starts <= high).all()
-    # of 4000 uniform numbers the extremes lie within 1 % of the range with certainty (1 - 4e-18)
-    np.testing.assert_allclose(starts.min(axis=0), low, atol=0.01 * (high - low).max())
-    np.testing.assert_allclose(starts.max(axis=0), high, atol=0.01 * (high - low).max())
 
 
 # --- commands -------------------------------------------------------------------------------------

@@ -3,7 +3,6 @@
 import dataclasses
 import hashlib
 import json
-import math
 
 import numpy as np
 import pandas as pd
@@ -15,7 +14,6 @@ from inclined_landing.eval.study import scenarios as study
 from inclined_landing.eval.study.engine import run
 from inclined_landing.eval.study.moving import fly, planner, vehicle_flown
 from inclined_landing.eval.study.scenarios import scenarios
-from tests.eval.study import spectra
 
 VEHICLE = vehicle_flown()
 DRAWN = "38373780da98e06d"
@@ -30,18 +28,6 @@ def test_what_the_scenarios_draw_is_frozen():
         for array in (drawn.state[:, :3], drawn.azimuth[:, None], place, rate):
             digest.update((np.rint(1e6 * array).astype(np.int64) + 0).tobytes())
     assert digest.hexdigest()[:16] == DRAWN
-
-
-@pytest.mark.parametrize("name", spectra.MADE)
-def test_ship_and_car_move_as_their_spectra_say(name):
-    scenario, made = scenarios()[name], spectra.MADE[name]()
-    amplitude, phase = scenario.components()
-    found = amplitude * np.exp(1j * phase)
-    # Of the files' digits: 5e-6 m or 5e-4 deg, and 0.05 deg of phase of the largest.
-    for got, want, digits in zip(found, made.waves, [5e-6] * 3 + [math.radians(5e-4)] * 3):
-        bound = digits + math.radians(0.05) * np.abs(want).max()
-        np.testing.assert_allclose(got, want, rtol=0, atol=1.5 * bound + 1e-12)
-    np.testing.assert_allclose(scenario.period, made.period, atol=5.1e-5)
 
 
 def test_the_planner_lands_and_the_report_is_the_same_again(tmp_path, monkeypatch, capsys):
