@@ -57,35 +57,25 @@ def study(
     score: Callable[[dict[str, Any]], tuple[str, dict]],
     **settings: Any,
 ) -> None:
-    """Answer cases (`answered`), score the answers, and write and print the table.
+    """Call `work` for every case in processes, score what it answers, and write and print the table.
+
+    Raises UserError where a process is killed.
 
     Args:
-        out: folder for answers/NAME.json, results.json and table.md; an interrupted study goes on in it.
-        score: returns the table, in Markdown, of the answers by name, and what results.json has of them.
+        out: folder for answers/NAME.json, kept as soon as they are there and not asked for again, results.json
+            and table.md; an interrupted study goes on in it.
+        score: returns the table, in Markdown, of the answers by name, in the order of `calls`, and what
+            results.json has of them.
         settings: what results.json begins with, before the versions.
     """
-    table, scored = score(answered(out / "answers", work, calls, processes))
-    storage.write_json(out / "results.json", settings | {"versions": runs.versions()} | scored)
-    storage.write_text(out / "table.md", table)
-    print(table)
-
-
-def answered(
-    folder: Path, work: Callable[..., Any], calls: Mapping[str, tuple], processes: int
-) -> dict[str, Any]:
-    """Return what `work` answers to every call, by its name, in the order of `calls`.
-
-    An answer is kept as NAME.json in `folder` as soon as it is there, and not asked for again. Raises
-    UserError where a process is killed.
-    """
-    files = {name: folder / f"{name}.json" for name in calls}
+    files = {name: out / "answers" / f"{name}.json" for name in calls}
     todo = {name: call for name, call in calls.items() if not files[name].exists()}
     for name in ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS"):
         os.environ[name] = "1"  # the processes share the cores already
     # A spawned process starts clean: threads of libraries do not survive a fork.
     pool = ProcessPoolExecutor(processes, mp_context=multiprocessing.get_context("spawn"))
     done = len(calls) - len(todo)
-    with storage.made(folder), stages(len(calls), "cases", done) as tick, pool:
+    with storage.made(out / "answers"), stages(len(calls), "cases", done) as tick, pool:
         jobs = {pool.submit(work, *call): name for name, call in todo.items()}
         try:
             for job in as_completed(jobs):
@@ -96,4 +86,7 @@ def answered(
         except BaseException:
             pool.shutdown(wait=False, cancel_futures=True)
             raise
-    return {name: storage.read_json(file, "answer") for name, file in files.items()}
+    table, scored = score({name: storage.read_json(file, "answer") for name, file in files.items()})
+    storage.write_json(out / "results.json", settings | {"versions": runs.versions()} | scored)
+    storage.write_text(out / "table.md", table)
+    print(table)

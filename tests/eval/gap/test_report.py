@@ -13,7 +13,7 @@ import pytest
 from msgspec import ValidationError
 
 from inclined_landing.eval.gap import pipeline
-from inclined_landing.eval.gap.answer import rollout, selection
+from inclined_landing.eval.gap.answer import rollout
 from inclined_landing.eval.gap.answer.identification import _Fit, _idle_references, worse_axes
 from inclined_landing.eval.gap.answer.sizes import loop_pieces, step_response_time
 from inclined_landing.eval.gap.model.columns import Candidates
@@ -270,23 +270,6 @@ def test_only_effects_whose_slopes_mislead_are_large_beyond_them():
         assert _Fit.large_beyond_slopes(fit) == large
 
 
-def test_a_load_may_be_a_mass_where_no_swing_shows(monkeypatch):
-    """Where a mass in its place predicts flights left out as well; of a thrust that does not: no."""
-    errors = {"slung_load": 0.1, "mass": 0.1, "thrust_bias": 0.11}
-
-    def refit(found, names):
-        return SimpleNamespace(pose_errors=np.array([errors[n] for n in names]))
-
-    monkeypatch.setattr(selection, "fitted_to_others", refit)
-    library = {n: LIBRARY[n] for n in errors}
-    found, values = SimpleNamespace(problem=SimpleNamespace(library=library)), {"mass": 0.004, "length": 0.5}
-    assert pipeline._predicting_as_well(found, {"slung_load": values}, "slung_load") == ["mass"]
-    assert pipeline._predicting_as_well(found, {"mass": {"scale": 1.1}}, "mass") == []
-    load = dataclasses.replace(named("slung_load", values), members=("slung_load", "mass", "wind"))
-    text = words.confounding_sentence(example("nothing"), load)
-    assert "mass (which predicts as well) or wind (10 %): these flights cannot" in text
-
-
 def test_a_reference_is_not_identified_without_its_effect():
     """Flights hardly show when the loops take over a moment that is none; where they do, it stays."""
     hold = LIBRARY["com_offset"].parameter("hold").neutral
@@ -348,35 +331,6 @@ def test_a_size_that_may_be_zero_is_not_sure():
     for ends, sure in (((0.85, 0.95), True), ((0.85, 1.02), False)):
         parameters = {"scale": dataclasses.replace(effect.parameters["scale"], ci95=ends)}
         assert dataclasses.replace(effect, parameters=parameters).sure is sure
-
-
-def test_a_name_without_a_firm_size_must_predict_better(monkeypatch):
-    """Neither an interval that holds neutral nor a size at its bound is enough.
-
-    Beside a larger effect, a change of the loops alone must be firm and predict better.
-    """
-    firm = named("thrust_scale", {"scale": 0.9}).parameters["scale"]
-    vague, bound = dataclasses.replace(firm, ci95=(0.8, 1.1)), dataclasses.replace(firm, at_bound=True)
-    sizes = {"thrust_scale": firm, "wind": vague, "motor_lag": bound, "estimator_lean": firm}
-    sizes |= {"second_order_attitude": bound, "com_offset": vague}
-    of = {n: {p.name: size for p in LIBRARY[n].parameters} for n, size in sizes.items()}
-    monkeypatch.setattr(selection, "estimates", lambda found, values: of)
-    monkeypatch.setattr(selection, "fitted_values", lambda found, kept: {n: {} for n in sizes if n in kept})
-    monkeypatch.setattr(selection, "loop_pieces", lambda problem, values: ())
-    monkeypatch.setattr(selection, "refitted", lambda found, values: (found, values))
-    monkeypatch.setattr(selection, "_largest_first", lambda problem, values: values)
-    found = SimpleNamespace(problem=SimpleNamespace(library=LIBRARY, requested=False))
-    for start, needed, kept in (
-        ([*sizes], (), ["thrust_scale"]),
-        ([*sizes], ("motor_lag", "second_order_attitude"), ["thrust_scale", "motor_lag"]),
-        ([*sizes], ("estimator_lean",), ["thrust_scale", "estimator_lean"]),
-        (["estimator_lean", "wind"], (), ["estimator_lean"]),
-        (["second_order_attitude", "wind"], ("second_order_attitude",), ["second_order_attitude"]),
-        (["com_offset"], ("com_offset",), []),
-    ):
-        monkeypatch.setattr(selection, "_shows_ahead", lambda found, values, n, needed=needed: n in needed)
-        _, distinct = selection.distinct_values(found, {n: {} for n in start})
-        assert [*distinct] == kept
 
 
 def test_every_effect_is_said_in_words_with_its_numbers():
