@@ -62,8 +62,8 @@ def study(
     Raises UserError where a process is killed.
 
     Args:
-        out: folder for answers/NAME.json, kept as soon as they are there and not asked for again, results.json
-            and table.md; an interrupted study goes on in it.
+        out: folder for answers/NAME.json, each kept as soon as it is there, results.json and table.md; an
+            interrupted study goes on in it.
         score: returns the table, in Markdown, of the answers by name, in the order of `calls`, and what
             results.json has of them.
         settings: what results.json begins with, before the versions.
@@ -86,7 +86,7 @@ def study(
         except BaseException:
             pool.shutdown(wait=False, cancel_futures=True)
             raise
-    table, scored = score({name: storage.read_json(file, "answer") for name, file in files.items()})
+    text, scored = score({name: storage.read_json(file, "answer") for name, file in files.items()})
     storage.write_json(out / "results.json", settings | {"versions": runs.versions()} | scored)
-    storage.write_text(out / "table.md", table)
-    print(table)
+    storage.write_text(out / "table.md", text)
+    print(text)
