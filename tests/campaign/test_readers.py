@@ -138,7 +138,7 @@ def a_training() -> dict[str, bytes]:
         return {f"run/{name}": files[f"run/{name}"] for name in (CHECKPOINT, "run.json")}
 
 
-def elsewhere(words: str, suffix: str = "") -> Callable[[Path], str]:
+def elsewhere(words: str) -> Callable[[Path], str]:
     """Return what runs landing-eval on a folder and writes somewhere else."""
 
     def run(folder: Path) -> str:

@@ -9,7 +9,7 @@ import tyro
 
 from inclined_landing.envs.shared.command_line import bound, exit_code
 
-from . import causes, gap_example, identified, landings, tosses
+from . import causes, gap_example, identified, tosses
 from .gap_blind import command as gap_blind
 
 PROGRAM = "python -m tests.validation"
@@ -19,7 +19,6 @@ COMMANDS = {
     "causes": causes.command,
     "identified": identified.command,
     "tosses": tosses.command,
-    "landings": landings.command,
 }
 
 

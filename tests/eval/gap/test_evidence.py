@@ -506,7 +506,7 @@ def test_a_posterior_is_read_as_it_was_written(reference, tmp_path):
         read_reference(file, VEHICLE)
 
 
-def test_a_posterior_stays_with_its_vehicle_where_an_effect_is_neutral(reference, tmp_path):
+def test_a_posterior_stays_with_its_vehicle_where_an_effect_is_neutral(reference):
     """So a shipped one outlives a new effect of the library."""
     hash_of = reference.to_json(VEHICLE)["vehicle"]
     assert reference.to_json(VEHICLE.changed(disturbance_acceleration=(0.1, 0.1, 0.1)))["vehicle"] == hash_of

@@ -25,18 +25,17 @@ from inclined_landing.eval.gap.measured.landings import (
 from inclined_landing.eval.gap.result import Estimate, ScoredSet, Touchdowns, from_plain, marginal, plain
 from inclined_landing.models.effects import LIBRARY
 from inclined_landing.models.parameters import load_vehicle
-from tests.validation import landings as validation_landings
 from tests.validation.gap_blind import causes
 from tests.validation.gap_blind.generate import land_all, logs
 
 VEHICLE = load_vehicle()
 
 
-def flown(cause, seed):
-    """Return sixteen landings with a strong cause of contact (None: without), and what is hidden."""
+def flown(cause, seed, count=16):
+    """Return landings with a strong cause of contact (None: without), and what is hidden."""
     rng = np.random.default_rng(seed)
     drawn = causes.Drawn({}, {}) if cause is None else causes.draw(cause, "strong", rng)
-    return logs(land_all(drawn, rng), contact=True), drawn.parameters
+    return logs(land_all(drawn, rng, count=count), contact=True), drawn.parameters
 
 
 @pytest.fixture(scope="module")
@@ -176,7 +175,7 @@ def test_probabilities_of_sets_of_linear_landings(higher, monkeypatch):
     assert sum(s.probability for s in both.sets) == pytest.approx(1.0, abs=0.02)
 
 
-def test_landings_that_contradict_each_other_are_no_certainty(higher, monkeypatch):
+def test_landings_that_contradict_each_other_are_no_certainty():
     """Few landings far beyond the noise: the samples are counted for less, and nothing is sure."""
     errors = np.random.default_rng(1).standard_normal((16, 6, 30))
     slopes = np.random.default_rng(2).standard_normal((16, 6, 30, 2))
@@ -234,12 +233,20 @@ def test_what_the_reference_leaves_is_expected_of_other_landings(higher, monkeyp
         from_plain(plain(reference) | {"time": [0.0]}, LandingReference)
 
 
+@pytest.fixture(scope="module")
+def identified():
+    """The vehicle that twelve landings without a cause identify, and what these leave."""
+    return landing_reference(flown(None, (6, 99), 12)[0], VEHICLE, LIBRARY)[:2]
+
+
 @pytest.mark.slow
 @pytest.mark.parametrize("cause", ["foot_height", "platform_tilt", "soft_feet"])
-def test_effects_of_contact_are_named_on_another_engine(cause):
+def test_effects_of_contact_are_named_on_another_engine(identified, cause):
     """After landings without the cause. Soft feet are not, for they could be shorter ones."""
-    named = validation_landings.judged(cause, "strong", (6, 0))
-    assert [e["class"][0] for e in named if e["sure"]] == [cause] * (cause != "soft_feet")
+    vehicle, reference = identified
+    landings = landings_of(flown(cause, (6, 0), 12)[0], vehicle, reference)
+    named = contact_effects(*contact_posterior(landings, vehicle, LIBRARY, reference))
+    assert [e.members[0] for e in named if e.sure] == [cause] * (cause != "soft_feet")
 
 
 @pytest.mark.slow
