@@ -15,7 +15,7 @@ from threadpoolctl import threadpool_limits
 from inclined_landing.eval.gap import thresholds
 from inclined_landing.eval.gap.answer import selection, sizes
 from inclined_landing.eval.gap.answer.selection import EffectAhead
-from inclined_landing.eval.gap.answer.touchdown import contact_answer
+from inclined_landing.eval.gap.infer.contact import contact_answer
 from inclined_landing.eval.gap.infer.fit import estimate_noise
 from inclined_landing.eval.gap.infer.gaussian import prior_share
 from inclined_landing.eval.gap.infer.heterogeneity import inconsistent_flights, summary_line
@@ -96,7 +96,7 @@ def diagnose(
     least_cost = cost_beyond_doubt(residual, ahead.gap.get("analytic"), reference_errors)
     effects = named_effects(found, values, ahead.named, least_cost)
     landings = reference.landings if reference else None
-    contact = contact_answer(usable, vehicle, correction.vehicle, candidates, landings)
+    contact = contact_answer(usable, correction.vehicle, candidates, landings)
 
     return Diagnosis(
         set_aside=usable.set_aside,

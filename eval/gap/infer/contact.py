@@ -23,11 +23,12 @@ from scipy.special import chdtrc, logsumexp
 
 from inclined_landing.eval.gap import thresholds
 from inclined_landing.eval.gap.infer.gaussian import SPIKE, EffectSet, flight_weights, prior_share
-from inclined_landing.eval.gap.infer.sets import REFIT_ABOVE
+from inclined_landing.eval.gap.infer.sets import REFIT_ABOVE, confounded_with
 from inclined_landing.eval.gap.infer.touchdown_simulation import TouchdownProblem
-from inclined_landing.eval.gap.measured.landings import Landing, LandingReference
+from inclined_landing.eval.gap.measured.landings import Landing, LandingReference, landings_of
+from inclined_landing.eval.gap.measured.usable import UsableFlights
 from inclined_landing.eval.gap.model.columns import SLAB, FittedValues, Values
-from inclined_landing.eval.gap.result import Estimate, ScoredSet, Touchdowns, marginal
+from inclined_landing.eval.gap.result import Estimate, NamedEffect, ScoredSet, Touchdowns, marginal
 from inclined_landing.models.effects import Effect
 from inclined_landing.models.vehicle import Vehicle
 
@@ -88,10 +89,10 @@ LOOKS_LIKE = {
 }
 
 
-def look_alike(name: str, size: float) -> tuple[str, ...]:
-    """Return the effects confounded with `name` under another law; size: in plausible sizes."""
-    known = LOOKS_LIKE.get(name, Lookalikes())
-    return known.effects if known.low < size < known.high else ()
+LAWS_DIFFER = (
+    "In doubt, because laws of contact differ: by another law than MuJoCo's, these landings may show another "
+    "effect of its class, and more landings do not help."
+)
 
 
 @dataclasses.dataclass(frozen=True)
@@ -131,6 +132,93 @@ def contact_posterior(
     p_value = common_residual_p_value(problem.landings, engine.residual(values), engine.inflation)
     touchdowns = Touchdowns(len(landings), p_value < thresholds.LANDING_RESIDUAL, p_value)
     return problem, ContactPosterior(sets, engine.estimates(chosen), touchdowns)
+
+
+@dataclasses.dataclass(frozen=True)
+class ContactAnswer:
+    """The result for landings; without a posterior if there are too few."""
+
+    vehicle: Vehicle  # corrected for contact too
+    effects: tuple[NamedEffect, ...] = ()
+    posterior: ContactPosterior | None = None
+    notes: tuple[str, ...] = ()
+
+    def sets(self, flown: tuple[ScoredSet, ...]) -> tuple[ScoredSet, ...]:
+        """Return the joint sets of free flight and contact."""
+        return joint_sets(flown, self.posterior) if self.posterior else flown
+
+
+def contact_answer(
+    use: UsableFlights,
+    corrected: Vehicle,
+    library: Mapping[str, Effect],
+    reference: LandingReference | None = None,
+) -> ContactAnswer:
+    """Return the effects of contact that the landings of the flights show.
+
+    corrected: the vehicle, for free flight; reference: of the landings that it was identified from.
+    """
+    landings = landings_of(use.logs, corrected, reference)
+    if len(landings) < thresholds.LEAST_LANDINGS or not any(e.contact for e in library.values()):
+        few = f"only {len(landings)} touchdown{'s' * (len(landings) > 1)}"
+        note = f"{few}: contact effects need {thresholds.LEAST_LANDINGS}"
+        return ContactAnswer(corrected, notes=(note,) if landings else ())
+    problem, found = contact_posterior(landings, corrected, library, reference)
+    effects = contact_effects(problem, found)
+    after = problem.corrected({n: v for e in effects for n, v in e.fitted.items()})
+    notes: tuple[str, ...] = ()
+    if found.touchdowns.unexplained:
+        repeats = "the motion after touchdown has a systematic error that no effect explains"
+        notes = (f"{repeats} (p {found.touchdowns.p_value:.2g})",)
+    return ContactAnswer(after, effects, found, notes)
+
+
+def contact_effects(problem: TouchdownProblem, found: ContactPosterior) -> tuple[NamedEffect, ...]:
+    """Return the named contact effects with estimates, most probable first."""
+    effects = []
+    for name, estimate in found.sizes.items():
+        (p,) = problem.library[name].parameters
+        alike = look_alike(problem, name, estimate.value)
+        members = tuple(dict.fromkeys((name, *confounded_with(found.sets, found.names, name), *alike)))
+        if found.probability(*members) < thresholds.NAMED:
+            continue
+        effects.append(
+            NamedEffect(
+                name,
+                members,
+                found.probability(*members),
+                {p.name: estimate},
+                math.nan,
+                problem.library[name].remedy,
+                doubt=LAWS_DIFFER if alike else "",
+            )
+        )
+    return tuple(sorted(effects, key=lambda e: -e.probability))
+
+
+def look_alike(problem: TouchdownProblem, name: str, value: float) -> tuple[str, ...]:
+    """Return the effects that look like one at a value under another law of contact."""
+    (p,) = problem.library[name].parameters
+    known, size = LOOKS_LIKE.get(name, Lookalikes()), p.coordinate(value) / abs(p.coordinate(p.plausible))
+    return tuple(n for n in known.effects if n in problem.library and known.low < size < known.high)
+
+
+def joint_sets(flown: tuple[ScoredSet, ...], found: ContactPosterior) -> tuple[ScoredSet, ...]:
+    """Return the product of the posteriors of free-flight and contact sets, most probable first."""
+    total = sum(other.probability for other in found.sets)
+    both = [
+        ScoredSet(
+            (*one.effects, *other.effects),
+            one.probability * other.probability / total,
+            {**one.values, **other.values},
+            one.standard_errors,
+        )
+        for one in flown
+        for other in found.sets
+    ]
+    both.sort(key=lambda one: -one.probability)
+    # Many small products together are not small: all that could change a marginal probability stay.
+    return tuple(one for k, one in enumerate(both) if not k or one.probability >= thresholds.REPORTED**2)
 
 
 @dataclasses.dataclass(frozen=True)

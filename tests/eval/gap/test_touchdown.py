@@ -7,12 +7,13 @@ import pytest
 from msgspec import ValidationError
 
 from inclined_landing.eval.gap import diagnose, thresholds
-from inclined_landing.eval.gap.answer.touchdown import contact_effects, joint_sets
 from inclined_landing.eval.gap.infer.contact import (
     ContactPosterior,
     common_residual_p_value,
+    contact_effects,
     contact_posterior,
     inflation,
+    joint_sets,
 )
 from inclined_landing.eval.gap.infer.landing_reference import landing_reference
 from inclined_landing.eval.gap.infer.sets import confounded_with
