@@ -91,9 +91,11 @@ def diagnose(
     with ThreadPoolExecutor(1) as beside:  # whose thread analyses the residual while MuJoCo flies
         analysis = beside.submit(analyse_residual, found, correction.vehicle)
         ahead = selection.open_loop_errors(found, correction, usable.judged, values, plants)
-    residual = dataclasses.replace(analysis.result(), error=ahead.error)
+    gap, residual = ahead.gap.get("analytic"), analysis.result()
+    if gap is not None:
+        residual = dataclasses.replace(residual, error=gap.after)
     reference_errors = reference.errors if reference else None
-    least_cost = cost_beyond_doubt(residual, ahead.gap.get("analytic"), reference_errors)
+    least_cost = cost_beyond_doubt(residual, gap, reference_errors)
     effects = named_effects(found, values, ahead.named, least_cost)
     landings = reference.landings if reference else None
     contact = contact_answer(usable, correction.vehicle, candidates, landings)

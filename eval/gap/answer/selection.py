@@ -321,7 +321,6 @@ class EffectAhead:
 class OpenLoopErrors:
     """Open-loop predictions of the flights, with and without the effects; empty where none can be made."""
 
-    error: float = math.nan  # m, of the position after the longest horizon, corrected
     named: dict[str, EffectAhead] = dataclasses.field(default_factory=dict)  # what each of these does
     gap: dict[str, PlantGap] = dataclasses.field(default_factory=dict)  # by plant, of the equations first
     displacements: dict[str, float] = dataclasses.field(default_factory=dict)  # see Diagnosis
@@ -358,7 +357,6 @@ def open_loop_errors(
     pieces = loop_pieces(problem, values)
     classes = {member for name in values for member in equivalence_class(found, name)}
     return OpenLoopErrors(
-        error=float(rollout.errors_by_flight(windows, judged.vehicles)[-1]),
         named={n: _effect_ahead(problem, windows, values, pieces if n in pieces else (n,)) for n in values},
         gap=gap,
         displacements=_displacements(found, windows, classes),

@@ -270,9 +270,7 @@ class Answer:
     how: str  # sure or possible, with the probability
     sizes: tuple[SizeRow, ...]
     cost: str  # position error one second ahead; "" where it was not measured
-    remedy: str
-    says: str  # the physical meaning, a sentence
-    notes: tuple[str, ...] = ()  # sentences on what limits the name
+    text: str  # sentences: the physical meaning, what limits the name, and what to do
 
 
 def answers(d: Diagnosis) -> list[Answer]:
@@ -280,8 +278,8 @@ def answers(d: Diagnosis) -> list[Answer]:
     found = [_undecided(d, name) for name in d.undecided] if d.verdict == "undecided" else []
     for e in d.effects:
         cost = centimetres(e.cost) if math.isfinite(e.cost) else ""
-        notes = tuple(t for t in (confounding_sentence(d, e), e.doubt) if t)
-        found.append(Answer(title(e), how_sure(e), size_rows(e), cost, remedy(e), sentence(e), notes))
+        text = " ".join(filter(None, [sentence(e), confounding_sentence(d, e), e.doubt, remedy(e)]))
+        found.append(Answer(title(e), how_sure(e), size_rows(e), cost, text))
     for one in d.residual.material_functions:
         size, ends = quantity(one.displacement, "m"), interval(one.displacement_ci95, "m")
         found.append(
@@ -290,8 +288,7 @@ def answers(d: Diagnosis) -> list[Answer]:
                 how="repeats on flights left out",
                 sizes=(SizeRow("displacement in 1 s", size, ends),),
                 cost=centimetres(one.displacement),
-                remedy=f"More flights that vary {one.on} would show it.",
-                says=f"An error {axis(one)} depends on {one.on}.",
+                text=f"An error {axis(one)} depends on {one.on}. More flights that vary this would show it.",
             )
         )
     return found
@@ -310,7 +307,7 @@ def _undecided(d: Diagnosis, name: str) -> Answer:
             rows.append(SizeRow(label(p.name), sizes[p.name][1], ends))
     how, says = f"undecided, {probability(d.probability(name))}", said(name, sizes)
     rows = rows if len(rows) > 1 else [rows[0]._replace(parameter="")]
-    return Answer(label(name), how, tuple(rows), "", effect.remedy, f"Possibly, {says}.")
+    return Answer(label(name), how, tuple(rows), "", f"Possibly, {says}. {effect.remedy}")
 
 
 def possible_sentence(d: Diagnosis) -> str:
@@ -367,8 +364,7 @@ def centimetres(metres: float) -> str:
 
 def causes(d: Diagnosis) -> list[str]:
     """Return a paragraph for each answer, then one on what is possible."""
-    lines = [" ".join([one.says, *one.notes, one.remedy]) for one in answers(d)]
-    return [*lines, *filter(None, [possible_sentence(d)])]
+    return [*(one.text for one in answers(d)), *filter(None, [possible_sentence(d)])]
 
 
 def set_aside(one: SetAside) -> str:

@@ -369,7 +369,7 @@ def test_headlines_say_what_is_known_and_what_is_not():
     likely = dataclasses.replace(useless, displacements={"wind": 0.4})
     assert words.headline(likely) == "Undecided: the model may lack wind (98 %)."
     (said,) = words.answers(likely)
-    assert said.says == "Possibly, the air moves with 0.100 m/s along x and 0.00 m/s along y."
+    assert said.text.startswith("Possibly, the air moves with 0.100 m/s along x and 0.00 m/s along y. ")
     assert said.how == "undecided, 98 %" and words.possible_sentence(likely) == ""
     wind = dataclasses.replace(named("wind", {"x": 0.3, "y": 0.0}), probability=0.6)
     unsure = dataclasses.replace(example(), effects=(wind, example().effects[1]))
