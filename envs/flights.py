@@ -16,7 +16,7 @@ from inclined_landing.models.base.errors import UserError, shown
 from inclined_landing.models.motion import MODES, Motion
 from inclined_landing.models.plants import MujocoPlant, Plant, make_plant
 from inclined_landing.models.plants.base import PLATFORM_SIZE
-from inclined_landing.models.plants.recorder import STEP, present_forces, still
+from inclined_landing.models.plants.recorder import STEP, present_forces
 
 _FREE = 0.01  # m from every surface, where nothing can touch
 _NONE = np.zeros((0, 3))
@@ -93,7 +93,6 @@ def record_flights(
     steps: int | None = None,
     informed: bool = True,
     contact_limit: int | None = None,
-    freeze_after: int | None = None,
 ) -> list[Flight]:
     """Fly the deterministic policy from each of `states` (n, 13) or n starts at once, and return the flights.
 
@@ -109,9 +108,6 @@ def record_flights(
         informed: see `BatchEnv`.
         contact_limit: end a flight, without success, after this many control steps in contact with a
             surface (default: never).
-        freeze_after: a vehicle that has lain still for this many control steps is not simulated any more and
-            stays there until its flight ends. They must exceed the policy's history, so that its observations
-            are constant (default: it is simulated).
 
     Raises:
         UserError: when the number of states is not the plant's.
@@ -142,7 +138,7 @@ def record_flights(
     state[0], platform[0] = plant.state, plant.platform
     ended = np.zeros(n, int)  # index of the last row; 0 while flying
     success, touched = np.zeros(n, bool), np.zeros(n, bool)
-    in_contact, still_for = np.zeros(n, int), np.zeros(n, int)  # steps up to now
+    in_contact = np.zeros(n, int)  # steps up to now
     last = 0
     while last < limit and not ended.all():
         flying = ended == 0
@@ -153,7 +149,7 @@ def record_flights(
         env.act(actions[last])
         lost = np.zeros(n, bool)
         try:
-            plant.step(env.commands, flying if freeze_after is None else flying & (still_for < freeze_after))
+            plant.step(env.commands, flying)
         except FloatingPointError:
             if not plant.pool:
                 raise
@@ -165,9 +161,6 @@ def record_flights(
         last += 1
         state[last], reward[last], platform[last] = plant.state, step.reward, plant.platform
         state[last, lost] = state[last - 1, lost]
-        if freeze_after is not None and plant.motion is None:
-            lies = still(plant.state, plant.platform) & plant.contacts.touch.any(axis=(1, 2))
-            still_for = np.where(lies, still_for + 1, 0)
         if contact_limit is not None:
             in_contact += plant.contacts.platform | plant.contacts.floor
             lost |= (in_contact >= contact_limit) & ~step.terminated

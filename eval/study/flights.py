@@ -44,7 +44,6 @@ ARRIVAL = (
 _NUMBERS = [m.name for m in ARRIVAL if m.unit != "1"]
 _FLAGS = [m.name for m in ARRIVAL if m.unit == "1"]
 _AT_ONCE = 1024  # flights; their records take some 80 MB
-_LAIN = 25  # control steps of lying still, beyond its history, after which a policy repeats itself
 
 
 class SharedFlights:
@@ -146,8 +145,7 @@ def _fly_batch(
     rates = np.array([vehicle.thrust_lag_rate for vehicle in vehicles])[variant]
     starts.state[:, LAG] *= task.vehicle.thrust_lag_rate / rates
     flown = choice.begin(make_plant(plant, len(starts), task.vehicle, pool=pool))
-    options = {"steps": task.judged_steps, "freeze_after": _LAIN + task.history}
-    flights = record_flights(policy, flown, starts, informed=False, **options)
+    flights = record_flights(policy, flown, starts, steps=task.judged_steps, informed=False)
     table = table_of(task, flights)
     if task.cut_at_success and cut_from < n:
         table = table.join(_arrivals(flights, table["success"].to_numpy() & (start >= cut_from), choice))
