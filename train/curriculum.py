@@ -1,15 +1,8 @@
 """Curricula: the conditions under which episodes start, and the rules by which these change.
 
-A curriculum is an object with a rule. The environment reads its `conditions` and never changes them. In a run
-its methods are called in this order:
-
-    once           `leave_out` (`make_curriculum`), `skip` (`Learner`), `restore` (`checkpoint.resume`)
-    an episode     `episode` where one ends (`CurriculumCallback`, as are the following)
-    a rollout      `follow` and `least_noise` before it; after it `advance`, then `conditions`,
-                   `gamma`, `learning_rate_share` and `pace`, and `log`
-    an evaluation  `is_ready` before it (`Run`); after it `may_plateau` (`Ending`), and `learn_again` or
-                   `explore_again` if evaluations have stopped rising (`Run`)
-    a checkpoint   `state` (`checkpoint.save`)
+A curriculum is an object with a rule. It receives every finished episode, its method `advance` is called once
+per rollout, and it is logged and checkpointed through `state` and `restore`. The environment reads its
+`conditions` and never changes them. The docstring of each method says who calls it when.
 """
 
 from __future__ import annotations
@@ -73,14 +66,9 @@ PARTS = {
 RISING = "paper"  # the name of the paper's discount
 
 
-def rising_gamma(steps: int) -> float:
-    """Return the paper's discount after `steps` environment steps: from 0.97 to 0.99 over 800 000."""
-    return 0.97 + 0.02 * min(1.0, steps / 800_000)
-
-
-def initial_gamma(gamma: float | str) -> float:
-    """Return the discount of the first rollout; later ones are determined by the curriculum."""
-    return rising_gamma(0) if gamma == RISING else float(gamma)
+def discount(gamma: float | str, steps: int) -> float:
+    """Return gamma after `steps` environment steps; that of RISING is 0.97 to 0.99 over 800 000."""
+    return 0.97 + 0.02 * min(1.0, steps / 800_000) if gamma == RISING else float(gamma)
 
 
 class Curriculum:
@@ -114,8 +102,8 @@ class Curriculum:
     def conditions(self) -> Any:
         """Return the conditions of the next episodes; None if the task has none.
 
-        Parts that the curriculum omits have the values of the task. It is called after every rollout, and
-        before the first.
+        Parts that the curriculum omits have the values of the task. `CurriculumCallback` asks after every
+        rollout, and before the first.
         """
         stage = self.stage()
         if not self._without:
@@ -140,21 +128,28 @@ class Curriculum:
         self._without = [name for part in parts for name in PARTS[part]]
 
     def episode(self, success: bool, length: int, start_x: float = 0.0) -> None:
-        """Record the end of a training episode that started at `start_x` [m]; called for every one."""
+        """Record the end of a training episode that started at `start_x` [m].
+
+        `CurriculumCallback` calls it for every one.
+        """
 
     def follow(self, divergence: float) -> None:
         """Record the Kullback-Leibler divergence between the policies before and after an update.
 
-        It is called before the next rollout, so that a checkpoint, which is written then, contains it.
+        `CurriculumCallback` calls it before the next rollout, so that a checkpoint, which is written then,
+        contains it.
         """
 
     def advance(self, steps: int) -> None:
-        """Record the end of a rollout, after `steps` environment steps in total; called for every one."""
+        """Record the end of a rollout, after `steps` environment steps in total.
+
+        `CurriculumCallback` calls it after every one.
+        """
 
     def learning_rate_share(self, steps: int, total: int | None) -> float:
         """Return the share of the initial learning rate at `steps` of `total`; None: until success.
 
-        It is called after every rollout, for the next update.
+        `CurriculumCallback` asks after every rollout, for the next update.
         """
         if total is None:
             return max(SETTLED, 1.0 - steps / self.settling)
@@ -170,7 +165,7 @@ class Curriculum:
     def is_ready(self, steps: int) -> bool:
         """Return whether evaluations on varied vehicles may end a run: before, their success still rises.
 
-        `Run` asks before every evaluation of a run that is ended by success.
+        `Run` asks before every evaluation of a run with drawn vehicles that is ended by success.
         """
         return self.may_plateau(steps)
 
@@ -196,9 +191,9 @@ class Curriculum:
     def gamma(self, steps: int) -> float:
         """Return the discount factor of the next rollout, after `steps` environment steps.
 
-        It is called after every rollout, and before the first.
+        `CurriculumCallback` asks after every rollout, and before the first.
         """
-        return rising_gamma(steps) if self._gamma == RISING else float(self._gamma)
+        return discount(self._gamma, steps)
 
     def log(self) -> dict[str, float]:
         """Return numbers for the learning curves and TensorBoard, after every rollout."""

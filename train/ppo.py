@@ -21,7 +21,7 @@ from inclined_landing.models.parameters import load_vehicle
 from inclined_landing.models.plants import make_plant
 from inclined_landing.models.vehicle import Vehicle
 from inclined_landing.train.config import NET_ARCH, TrainConfig
-from inclined_landing.train.curriculum import ALONE, BalancedCurriculum, initial_gamma
+from inclined_landing.train.curriculum import ALONE, BalancedCurriculum, discount
 from inclined_landing.train.fast.ppo import FastPPO
 
 # Measured memory in bytes: a sample and its copies, each past step that is part of a sample, and a vehicle
@@ -124,7 +124,7 @@ def _arguments(config: TrainConfig, task: Task) -> dict:
         "batch_size": config.batch_size,
         "n_epochs": config.epochs,
         "learning_rate": config.learning_rate,
-        "gamma": initial_gamma(config.gamma),
+        "gamma": discount(config.gamma, 0),
         "gae_lambda": config.gae_lambda,
         "device": "cpu",
         "policy_kwargs": {
