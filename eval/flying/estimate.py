@@ -14,11 +14,13 @@ whose integral must agree with the measured velocity.
 
 from __future__ import annotations
 
+import collections
 import dataclasses
 import math
 
 import numpy as np
 
+from inclined_landing.envs.tasks.touchdown import HOLD_STEPS, REST_SPEED
 from inclined_landing.eval.flying import frames
 from inclined_landing.eval.flying.interfaces import MeasuredPose
 from inclined_landing.models.attitude import PITCH, ROLL, STATE_SIZE, VX, VZ, YAW, X, Z
@@ -313,3 +315,18 @@ class ConsistencyMonitor:
                 self._parted * math.exp(-dt / TIME_CONSTANT) + gained - (velocity - self._before[1])
             )
         self._before = time, velocity.copy()
+
+
+class RestMonitor:
+    """The time [s] for which a vehicle has lain still, by its positions at control steps of `period` [s]."""
+
+    def __init__(self, period: float):
+        self._period, self.time = period, 0.0
+        self._positions: collections.deque[np.ndarray] = collections.deque(maxlen=HOLD_STEPS)
+
+    def update(self, position: np.ndarray, supported: bool) -> None:
+        """Add the position (3,) [m] of a control step; supported: whether it can lie there."""
+        self._positions.append(position.copy())
+        moved = np.ptp(list(self._positions), axis=0).max()
+        still = len(self._positions) == HOLD_STEPS and moved < REST_SPEED * HOLD_STEPS * self._period
+        self.time = self.time + self._period if still and supported else 0.0

@@ -21,13 +21,14 @@ from collections.abc import Callable
 import numpy as np
 
 from inclined_landing.envs.hover import HAND_OVER_SPEED, HAND_OVER_TIME, TOLERANCE, YAW_GAIN
-from inclined_landing.envs.tasks.touchdown import HOLD_STEPS, REST_SPEED
+from inclined_landing.envs.tasks.touchdown import REST_SPEED
 from inclined_landing.eval.flying import frames, safety
 from inclined_landing.eval.flying.estimate import (
     POSITION_NOISE,
     Attitude,
     ConsistencyMonitor,
     Estimator,
+    RestMonitor,
     StateEstimate,
 )
 from inclined_landing.eval.flying.flight_log import FlightLogWriter
@@ -39,7 +40,7 @@ from inclined_landing.eval.flying.preflight import RECORDING_TIME, Check, prefli
 from inclined_landing.eval.flying.report import FlightReport
 from inclined_landing.eval.flying.safety import Cause, FlightStatus, Phase, Reaction
 from inclined_landing.eval.flying.surroundings import IMPACT_DISTANCE, MovingTarget
-from inclined_landing.eval.flying.vehicle import Radio
+from inclined_landing.eval.flying.vehicle import Radio, Status
 from inclined_landing.eval.flying.watchdog import Watchdog, interruptible, uninterruptible
 from inclined_landing.models.attitude import PITCH_COMMAND, PWM, ROLL_COMMAND, VX, VZ, YAW, X, Z
 from inclined_landing.models.attitude import YAW_RATE_COMMAND as YAW_RATE
@@ -80,7 +81,6 @@ class Pilot:
         self._print, self._hang_limit, self._guarded = say, hang_limit, guarded
         self._log: FlightLogWriter | None = None
         onboard = isinstance(mocap, OnboardPosition)
-        self._source = "onboard position (Lighthouse deck)" if onboard else "motion capture"
         noise, heading = (NOISE, None) if onboard else (POSITION_NOISE, plan.heading)
         self._estimator = Estimator(self.vehicle, noise, heading)
         self._monitor = safety.SafetyMonitor(self.vehicle)
@@ -88,14 +88,13 @@ class Pilot:
         self._follower = SetpointFollower(plan.setpoint)
         self._final = plan.final
         self._period = self.vehicle.command_control_period
-        self._voltage, self._locked = math.nan, False
-        self._pose_time = -math.inf
+        self._rest = RestMonitor(self._period)
+        self._status = Status(-math.inf, math.nan, False)
         self._target: MovingTarget | None = None
         self._began = self._phase_began = 0.0
         self._airborne = False
         self._steps_at_start = 0  # control steps in a row
-        self._recent_positions: list[np.ndarray] = []  # of the last HOLD_STEPS control steps
-        self._resting_time = self._stuck_time = 0.0
+        self._stuck_time = 0.0
         self._announced: Cause | None = None
         self._last_print = -math.inf
 
@@ -112,8 +111,9 @@ class Pilot:
             poses += [] if pose is None else [pose]
             attitudes += count
         estimate = self._estimator.predict(self.clock.now())
-        status = self._voltage, self._locked
-        measured = (self._source, poses, attitudes, status, estimate)
+        onboard = isinstance(self.mocap, OnboardPosition)
+        source = "onboard position (Lighthouse deck)" if onboard else "motion capture"
+        measured = (source, poses, attitudes, self._status, estimate)
         found = preflight_checks(*measured, self.surroundings, self.plan.stand)
         if all(check.passed for check in found):
             self.home = np.mean([pose.position for pose in poses], axis=0)
@@ -145,7 +145,7 @@ class Pilot:
                 now = self.clock.now()
                 log.begin(now)
                 self._log = log
-                self._log.voltage(now, self._voltage)  # the last ones before the log begins
+                self._log.voltage(now, self._status.voltage)  # the last ones before the log begins
                 if self._estimator.attitude is not None:
                     self._log_attitude(self._estimator.attitude)
             with interruptible(), Watchdog(self._hang_limit, self.radio.emergency_stop) as watchdog:
@@ -229,14 +229,9 @@ class Pilot:
         time, state = estimate.time, estimate.state
         if self.home is not None and state[2] > self.home[2] + LIFT_OFF:
             self._airborne = True
-        self._recent_positions = [*self._recent_positions[1 - HOLD_STEPS :], state[X : Z + 1].copy()]
-        still = (
-            len(self._recent_positions) == HOLD_STEPS
-            and float(np.ptp(self._recent_positions, axis=0).max()) < REST_SPEED * HOLD_STEPS * self._period
-        )
-        self._check_consistency(time, state)
-        lies = still and self._airborne and self.surroundings.in_contact(state)
-        self._resting_time = self._resting_time + self._period if lies else 0.0
+        contact = self.surroundings.in_contact(state)
+        self._rest.update(state[X : Z + 1], self._airborne and contact)
+        self._check_consistency(estimate, contact)
         since, yaw = time - self._phase_began, float(state[YAW])
         return FlightStatus(
             phase=self.phase,
@@ -244,25 +239,26 @@ class Pilot:
             estimate=estimate,
             airborne=self._airborne,
             linked=self.radio.lost is None,
-            locked=self._locked,
-            voltage=self._voltage,
+            locked=self._status.locked,
+            voltage=self._status.voltage,
             heading_error=self._final.heading_error(since, yaw) if self._turns else yaw,
             velocity_mismatch=self._consistency.velocity_mismatch,
-            resting_time=self._resting_time,
+            resting_time=self._rest.time,
             landing_limit=self._final.limit,
             astray=self._final.astray,
             near=self.surroundings.is_near(state, IMPACT_DISTANCE),
             late=late,
         )
 
-    def _check_consistency(self, time: float, state: np.ndarray) -> None:
+    def _check_consistency(self, estimate: StateEstimate, contact: bool) -> None:
         """Compare motion with forces while the vehicle touches nothing."""
         attitude = self._estimator.attitude
         rotation = None if attitude is None else self._estimator.to_arena(attitude)
-        if not self._airborne or rotation is None or self.surroundings.in_contact(state):
+        if not self._airborne or rotation is None or contact:
             self._consistency.reset()
         elif attitude is not None:
-            self._consistency.update(time, state[VX : VZ + 1], rotation[:, 2], attitude.specific_force)
+            velocity = estimate.state[VX : VZ + 1]
+            self._consistency.update(estimate.time, velocity, rotation[:, 2], attitude.specific_force)
 
     def _command(self, estimate: StateEstimate) -> np.ndarray | None:
         """Return the command (4,) of the present phase, which may end here; None when the flight is over."""
@@ -292,7 +288,7 @@ class Pilot:
     def _fly_final(self, estimate: StateEstimate) -> np.ndarray | None:
         """Return the command (4,) of the landing or the planned flight; None once it has landed."""
         state = estimate.state
-        step = self._final.step(estimate.time - self._phase_began, state, self._resting_time > 0.0)
+        step = self._final.step(estimate.time - self._phase_began, state, self._rest.time > 0.0)
         if isinstance(step, str):
             if self.phase is Phase.LANDING:
                 self.report.goal = state.copy()
@@ -398,17 +394,16 @@ class Pilot:
             platform = self.surroundings.distances(estimate.state[None])[0, 0]
             leaning = abs(estimate.tilt - abs(self.surroundings.inclination))
             upright = not leaning > UPRIGHT  # NaN: no attitude
-            self.report.rests = bool(self._resting_time > 0.0 and platform < 2 * LIFT_OFF and upright)
+            self.report.rests = bool(self._rest.time > 0.0 and platform < 2 * LIFT_OFF and upright)
 
     # --- what is heard -----------------------------------------------------------------------------
 
     def _receive(self) -> tuple[MeasuredPose | None, int]:
         """Pass new data to estimator and log; return the new pose, if any, and the number of attitudes."""
-        pose, attitudes = self.mocap.latest(), 0
-        if pose is not None and pose.time <= self._pose_time:
+        pose, attitudes, last = self.mocap.latest(), 0, self._estimator.last_pose
+        if pose is not None and last is not None and pose.time <= last.time:
             pose = None
         if pose is not None:
-            self._pose_time = pose.time
             near = self.surroundings.is_near(self._estimator.predict(pose.time).state, IMPACT_DISTANCE)
             contact_updates = self._estimator.filter.contact_updates
             self._estimator.add_pose(pose, impact=near)
@@ -423,7 +418,7 @@ class Pilot:
                 self._estimator.add_attitude(received)
                 self._log_attitude(received)
             else:
-                self._voltage, self._locked = received.voltage, received.locked
+                self._status = received
                 if self._log is not None:
                     self._log.voltage(received.time, received.voltage)
         return pose, attitudes

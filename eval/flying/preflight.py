@@ -10,6 +10,7 @@ import numpy as np
 from inclined_landing.eval.flying.estimate import StateEstimate
 from inclined_landing.eval.flying.interfaces import MeasuredPose
 from inclined_landing.eval.flying.surroundings import CLEAR, Surroundings
+from inclined_landing.eval.flying.vehicle import Status
 
 RECORDING_TIME = 1.0  # s that is listened to the vehicle and the motion capture
 LEAST_VOLTAGE = 3.7  # V at rest: about half full; hovering takes half a volt off
@@ -34,17 +35,17 @@ def preflight_checks(
     source: str,
     poses: list[MeasuredPose],
     attitudes: int,
-    status: tuple[float, bool],
+    status: Status,
     estimate: StateEstimate,
     surroundings: Surroundings,
     stand: float,
 ) -> list[Check]:
     """Return all preflight checks from RECORDING_TIME seconds of measurements at rest.
 
-    source: name of the source of the poses; attitudes: number received; status: voltage [V], NaN if none was
-    received, and whether the vehicle is locked; stand: height of its stand [m].
+    source: name of the source of the poses; attitudes: number received; status: with a voltage of NaN if none
+    was received; stand: height of the vehicle's stand [m].
     """
-    (voltage, locked), v = status, surroundings.vehicle
+    voltage, v = status.voltage, surroundings.vehicle
     positions = np.array([pose.position for pose in poses]).reshape(-1, 3)
     times = np.array([pose.time for pose in poses])
     gap = float(np.diff(times).max()) if len(times) > 1 else math.inf
@@ -65,8 +66,8 @@ def preflight_checks(
     checks = {
         "battery": (voltage >= LEAST_VOLTAGE, f"{voltage:.2f} V; at least {LEAST_VOLTAGE:g} V at rest"),
         "supervisor": (
-            not locked,
-            "locked, crashed or tumbled: switch it off and on" if locked else "not locked",
+            not status.locked,
+            "locked, crashed or tumbled: switch it off and on" if status.locked else "not locked",
         ),
         source: (
             len(times) >= POSE_RATE * RECORDING_TIME and gap <= LONGEST_GAP and moved,

@@ -12,6 +12,7 @@ from scipy.stats import chi2
 
 from inclined_landing.envs import load_policy, record_flights
 from inclined_landing.envs.tasks import hover_states
+from inclined_landing.envs.tasks.touchdown import HOLD_STEPS, REST_SPEED
 from inclined_landing.eval.flying import frames
 from inclined_landing.eval.flying.estimate import (
     POSITION_NOISE,
@@ -22,6 +23,7 @@ from inclined_landing.eval.flying.estimate import (
     ConsistencyMonitor,
     Estimator,
     KalmanFilter,
+    RestMonitor,
     process_noise,
     transition,
 )
@@ -221,3 +223,15 @@ def test_forces_that_lead_nowhere_add_up(lean, lift):
     assert math.isfinite(coherence.velocity_mismatch)
     coherence.reset()
     assert coherence.velocity_mismatch == 0.0
+
+
+def test_a_vehicle_lies_still_once_it_has_for_as_long_as_a_landing_asks():
+    """In HOLD_STEPS steps it moves by less than REST_SPEED does, and something supports it throughout."""
+    period, slow = 0.02, 0.9 * REST_SPEED * HOLD_STEPS / (HOLD_STEPS - 1)
+    for speed, supported, rests in ((slow, True, True), (2 * slow, True, False), (slow, False, False)):
+        rest = RestMonitor(period)
+        for k in range(HOLD_STEPS + 4):
+            rest.update(np.array([0.0, 0.0, speed * period * k]), supported)
+            assert (rest.time > 0.0) == (rests and k >= HOLD_STEPS - 1)
+    rest.update(np.zeros(3), True)  # a jump
+    assert rest.time == 0.0
