@@ -24,19 +24,18 @@ class Words:
     """The text of the sections and claims of a package: `claims.toml` next to its code.
 
     A table is a section with `title`, `text` and optionally `remarks` and the caption of its `figure` (a PNG
-    file of its name); a table in it is a claim with `claim`, `unit`, `why` and, unless they are computed, its
-    bounds `low` and `high`. Names in braces are replaced by values.
+    file of its name); a table in it is a claim with `claim`, `unit`, `why` and one or both of its bounds
+    `low` and `high`. Names in braces are replaced by values.
     """
 
     def __init__(self, package: str):
         self.tables = tomllib.loads(resources.files(package).joinpath("claims.toml").read_text("utf-8"))
 
-    def claim(self, section: str, key: str, measured: float, bounds=None, **filling) -> Claim:
-        """Return a claim with its measured value; bounds: low and high, instead of those of the file."""
+    def claim(self, section: str, key: str, measured: float, **filling) -> Claim:
+        """Return a claim with its measured value."""
         entry = self.tables[section][key]
         name, unit, why = (entry[word].format(**filling) for word in ("claim", "unit", "why"))
-        low, high = bounds or (entry.get("low", -math.inf), entry.get("high", math.inf))
-        return Claim(name, measured, high, unit, why, low)
+        return Claim(name, measured, entry.get("high", math.inf), unit, why, entry.get("low", -math.inf))
 
     def section(self, key: str, measured: dict[str, float] | list[Claim], filling=None, **rest) -> Section:
         """Return a section; measured: values by claim, or the claims themselves; rest: its other fields."""
