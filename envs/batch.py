@@ -261,7 +261,7 @@ class BatchEnv:
         start = self.task.sample(self.rng, len(ids))
         for _ in range(_TRIES):
             self._place(ids, start)
-            if self.plant.fleet.has_one_shape:  # whose clearance the task's starts respect
+            if self.plant.shapes.are_equal:  # whose clearance the task's starts respect
                 return start
             todo = np.flatnonzero(self.plant.clearance(ids, start.state) <= self.plant.keep_out)
             if not len(todo):

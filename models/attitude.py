@@ -161,6 +161,26 @@ def rotation_entries(roll, pitch, yaw):
 
 
 @inlined
+def to_world(r, x, y, z):
+    """Return a vector of the body's axes along the world's; r: nine entries of the attitude matrix."""
+    return (
+        r[0] * x + r[1] * y + r[2] * z,
+        r[3] * x + r[4] * y + r[5] * z,
+        r[6] * x + r[7] * y + r[8] * z,
+    )
+
+
+@inlined
+def to_body(r, x, y, z):
+    """Return a vector of the world's axes along the body's: the inverse of `to_world`."""
+    return (
+        r[0] * x + r[3] * y + r[6] * z,
+        r[1] * x + r[4] * y + r[7] * z,
+        r[2] * x + r[5] * y + r[8] * z,
+    )
+
+
+@inlined
 def entries(r):
     """Return the nine entries of a matrix (3, 3), row by row."""
     return r[0, 0], r[0, 1], r[0, 2], r[1, 0], r[1, 1], r[1, 2], r[2, 0], r[2, 1], r[2, 2]

@@ -30,6 +30,8 @@ from inclined_landing.models.attitude import (
     euler_rates_at,
     rotation_entries,
     sine_cosine,
+    to_body,
+    to_world,
 )
 from inclined_landing.models.attitude_loops import (
     angle_errors,
@@ -139,9 +141,8 @@ def _derivative(y, s, v):
     # dx/dt = v, dv/dt = R f/m + push - (0, 0, g)
     mass = v.body.mass * p[MASS_SCALE]
     dy[0], dy[1], dy[2] = y[VX], y[VX + 1], y[VZ]
-    dy[VX] = (r[0] * fx + r[1] * fy + r[2] * fz) / mass
-    dy[VX + 1] = (r[3] * fx + r[4] * fy + r[5] * fz) / mass
-    dy[VZ] = (r[6] * fx + r[7] * fy + r[8] * fz) / mass
+    fx, fy, fz = to_world(r, fx, fy, fz)
+    dy[VX], dy[VX + 1], dy[VZ] = fx / mass, fy / mass, fz / mass
     for k in range(3 if s.pushed else 0):
         dy[VX + k] += push[k]
     if s.loaded:
@@ -168,9 +169,8 @@ def _derivative(y, s, v):
             ty += _saturation(wanted_y, s.torque_limits[1])
             tz += _saturation(wanted_z, s.torque_limits[2])
         if s.pushed:  # its torque along the body's axes: R^T tau
-            tx += r[0] * push[3] + r[3] * push[4] + r[6] * push[5]
-            ty += r[1] * push[3] + r[4] * push[4] + r[7] * push[5]
-            tz += r[2] * push[3] + r[5] * push[4] + r[8] * push[5]
+            px, py, pz = to_body(r, push[3], push[4], push[5])
+            tx, ty, tz = tx + px, ty + py, tz + pz
         if tx != 0.0 or ty != 0.0 or tz != 0.0:
             # d2(phi, theta, psi)/dt2 += E(phi, theta) J^-1 tau, E: Euler rates from body rates
             j = v.body.inertia

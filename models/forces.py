@@ -10,12 +10,14 @@ body frame, v velocity, R attitude matrix (body to world).
 import dataclasses
 import functools
 import math
+from collections import defaultdict
 from collections.abc import Callable, Sequence
 from operator import attrgetter
 from types import SimpleNamespace
 
 import numpy as np
 
+from inclined_landing.models.attitude import to_body
 from inclined_landing.models.base.errors import UserError
 from inclined_landing.models.compiled import inlined, inner, unlocked
 from inclined_landing.models.parameters import load_vehicle
@@ -224,11 +226,11 @@ def settled_hover(vehicle: Vehicle) -> float:
 
 def _tables(vehicle: Vehicle) -> SimpleNamespace:
     """Return a vehicle with the names of `pack`, for formulas that Python runs."""
-    tables: dict[str, dict] = {}
-    for field in dataclasses.fields(vehicle):
-        table, _, entry = field.name.partition("_")
-        tables.setdefault(table, {})[entry] = getattr(vehicle, field.name)
-    return SimpleNamespace(**{table: SimpleNamespace(**entries) for table, entries in tables.items()})
+    tables: defaultdict[str, SimpleNamespace] = defaultdict(SimpleNamespace)
+    for field, value in vars(vehicle).items():
+        table, _, entry = field.partition("_")
+        setattr(tables[table], entry, value)
+    return SimpleNamespace(**tables)
 
 
 @inlined
@@ -343,9 +345,7 @@ def wrench_near(near, velocity, r, lag, pwm, ambient, v, p):
     """
     thrust, speed = rotors(lag, pwm, ambient[TIME], ambient[VOLTAGE], v, p)
     ax, ay, az = velocity[0] - v.effects.wind[0], velocity[1] - v.effects.wind[1], velocity[2]
-    bx = r[0] * ax + r[3] * ay + r[6] * az
-    by = r[1] * ax + r[4] * ay + r[7] * az
-    bz = r[2] * ax + r[5] * ay + r[8] * az
+    bx, by, bz = to_body(r, ax, ay, az)
     fx, fy, fz, thrust = in_the_air(thrust, speed, bx, by, bz, v)
     tx, ty = near[1] * thrust, near[2] * thrust
     thrust += near[0] * thrust

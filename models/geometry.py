@@ -7,7 +7,6 @@ the body box as points on their outline), the platform a set of boxes.
 
 from __future__ import annotations
 
-import dataclasses
 import math
 from collections.abc import Sequence
 from typing import NamedTuple
@@ -15,7 +14,7 @@ from typing import NamedTuple
 import mujoco
 import numpy as np
 
-from inclined_landing.models.attitude import PITCH, ROLL, YAW, Z, rotation_entries, sine_cosine
+from inclined_landing.models.attitude import PITCH, ROLL, YAW, Z, rotation_entries, sine_cosine, to_world
 from inclined_landing.models.compiled import inlined, inner, kernel
 from inclined_landing.models.surface import slope_of
 from inclined_landing.models.vehicle import Vehicle
@@ -31,20 +30,32 @@ PARKED = -100.0  # height of an absent platform [m]
 _RIM_POINTS = 16
 
 
-@dataclasses.dataclass(frozen=True)
-class Shapes:
-    """Collision shapes: spheres in the body frame, boxes in the frames of the platform bodies."""
+class Shapes(NamedTuple):
+    """Collision shapes of m vehicles that differ only in size: spheres in the vehicles' frames, and the boxes
+    of their platforms, which are the same for all, in the frames of PLATFORM_BODIES.
+    """
 
-    centres: np.ndarray  # (k, 3) m, vehicle frame
-    radii: np.ndarray  # (k,) m
+    centres: np.ndarray  # (m, k, 3) m
+    radii: np.ndarray  # (m, k) m
+    reach: np.ndarray  # (m,) no shape is farther than this from the vehicle's origin, m
+    hulls: np.ndarray  # (m, 3, 3) m, of each part: width about the vehicle's axis, lowest and highest height
     parts: np.ndarray  # (k,) index into PARTS
-    box_centres: np.ndarray  # (4, 3) m, in the frame of PLATFORM_BODIES
+    box_centres: np.ndarray  # (4, 3) m
     box_sizes: np.ndarray  # (4, 3) half sizes, m
-    reach: float  # no shape is farther than this from the vehicle's origin, m
+
+    @classmethod
+    def of(cls, members: Sequence[Shapes]) -> Shapes:
+        """Return the shapes of all the vehicles of `members`."""
+        return cls(*map(np.concatenate, zip(*(member[:4] for member in members))), *members[0][4:])
+
+    @property
+    def are_equal(self) -> bool:
+        """Whether all vehicles have the shape of the first, the only one here."""
+        return len(self.reach) == 1
 
 
 def shapes_of(model: mujoco.MjModel) -> Shapes:
-    """Return the shapes of a compiled scene."""
+    """Return the shapes of the vehicle of a compiled scene."""
     centres, radii, parts = [], [], []
     for part, body in enumerate(PART_BODIES):
         identity = model.body(body).id
@@ -58,53 +69,22 @@ def shapes_of(model: mujoco.MjModel) -> Shapes:
             centres.append(offset + points @ frame.reshape(3, 3).T)
             radii += [radius] * len(points)
             parts += [part] * len(points)
-    centres, radii = np.concatenate(centres), np.array(radii)
+    at, sizes = np.concatenate(centres), np.array(radii)
+    reach = (np.linalg.norm(at, axis=1) + sizes).max()
+    hulls = np.array([_hull(at[of], sizes[of]) for of in (np.array(parts) == k for k in range(len(PARTS)))])
     geoms = [model.geom(name) for name in PLATFORM_GEOMS]
-    return Shapes(
-        centres,
-        radii,
-        np.array(parts),
-        np.array([g.pos for g in geoms]),
-        np.array([g.size for g in geoms]),
-        float((np.linalg.norm(centres, axis=1) + radii).max()),
-    )
+    boxes = np.array([g.pos for g in geoms]), np.array([g.size for g in geoms])
+    return Shapes(at[None], sizes[None], np.array([reach]), hulls[None], np.array(parts), *boxes)
 
 
-class Fleet(NamedTuple):
-    """The shapes of m vehicles that differ only in size, with platforms of the same shapes."""
-
-    centres: np.ndarray  # (m, k, 3) m
-    radii: np.ndarray  # (m, k) m
-    reach: np.ndarray  # (m,) m
-    parts: np.ndarray  # (k,)
-    box_centres: np.ndarray  # (4, 3) m
-    box_sizes: np.ndarray  # (4, 3) m
-    hulls: np.ndarray  # (m, 3, 3) m, of each part: width about the vehicle's axis, lowest and highest height
-
-    @classmethod
-    def of(cls, members: Sequence[Shapes]) -> Fleet:
-        """Return the fleet of these members."""
-        centres, radii, reach = (
-            np.array([getattr(s, k) for s in members]) for k in ("centres", "radii", "reach")
-        )
-        first = members[0]
-        hulls = np.array([[_hull(s, part) for part in range(len(PARTS))] for s in members])
-        return cls(centres, radii, reach, first.parts, first.box_centres, first.box_sizes, hulls)
-
-    @property
-    def has_one_shape(self) -> bool:
-        """Whether all vehicles have the shape of the first, the only one here."""
-        return len(self.reach) == 1
-
-
-def _hull(shapes: Shapes, part: int) -> tuple[float, float, float]:
-    of = shapes.parts == part
-    (x, y, z), radii = shapes.centres[of].T, shapes.radii[of]
-    return float((np.hypot(x, y) + radii).max()), float((z - radii).min()), float((z + radii).max())
+def _hull(centres: np.ndarray, radii: np.ndarray) -> tuple[float, float, float]:
+    """Return the row of `Shapes.hulls` of the spheres of one part."""
+    x, y, z = centres.T
+    return (np.hypot(x, y) + radii).max(), (z - radii).min(), (z + radii).max()
 
 
 def reach_below(shapes: Shapes, up=(0.0, 0.0, 1.0), *, lowered=0.0, part: str | None = None) -> np.ndarray:
-    """Return the reach [m] of the vehicle's shapes below its centre of mass, (...,).
+    """Return the reach [m] of the first vehicle's shapes below its centre of mass, (...,).
 
     up (..., 3): the direction that counts as up, in the vehicle's axes.
     lowered (...): additional length of its feet, compared with the model [m]. part: only this one of PARTS.
@@ -112,9 +92,9 @@ def reach_below(shapes: Shapes, up=(0.0, 0.0, 1.0), *, lowered=0.0, part: str | 
     of = slice(None) if part is None else shapes.parts == PARTS.index(part)
     up = np.asarray(up, float)[..., None, :]
     feet = shapes.parts[of] == PARTS.index("feet")
-    x, y, z = shapes.centres[of].T
+    x, y, z = shapes.centres[0, of].T
     z = z - np.where(feet, np.asarray(lowered, float)[..., None], 0.0)
-    return (shapes.radii[of] - (up[..., 0] * x + up[..., 1] * y + up[..., 2] * z)).max(axis=-1)
+    return (shapes.radii[0, of] - (up[..., 0] * x + up[..., 1] * y + up[..., 2] * z)).max(axis=-1)
 
 
 def _outline(kind: int, size: np.ndarray) -> tuple[np.ndarray, float]:
@@ -230,39 +210,32 @@ def platform_reach(vehicle: Vehicle) -> float:
     return math.hypot(vehicle.slab_half_length, 0.5 * vehicle.platform_depth, vehicle.slab_depth)
 
 
-@inlined
-def least_distance(x, y, z, centre, reach):
-    """Return a lower bound of `platform_distance` [m] of a point, from the centre (3,) of the platform.
-
-    reach: from `platform_reach`.
-    """
-    dx, dy = x - centre[0], y - centre[1]
-    return max(z - centre[2], math.sqrt(dx * dx + dy * dy)) - reach
-
-
 @kernel
-def _clearances(state, inclination, azimuth, position, which, fleet, within, out):
+def _clearances(state, inclination, azimuth, position, which, shapes, within, out):
     """Write the smallest distance (n, 3 surfaces, 3 parts) of the vehicles' shapes to the scene [m]."""
-    boxes, sizes = fleet.box_centres, fleet.box_sizes
+    boxes, sizes = shapes.box_centres, shapes.box_sizes
     for i in range(state.shape[0]):
         member, x, y, z = which[i], state[i, 0], state[i, 1], state[i, 2]
         for surface in range(3):
             for part in range(3):
                 out[i, surface, part] = math.inf
-        near_floor = z < 2.0 * fleet.reach[member]
+        near_floor = z < 2.0 * shapes.reach[member]
         slab = platform_turns(0.0, inclination[i], azimuth[i])
         base = slab[0], _UPRIGHT, _UPRIGHT
         if not near_floor:
             nearest = platform_distance(x, y, z, slab, position[i], boxes, sizes)
-            if nearest - fleet.reach[member] > within:
+            if nearest - shapes.reach[member] > within:
                 continue
         r = rotation_entries(sine_cosine(state[i, 6]), sine_cosine(state[i, 7]), sine_cosine(state[i, 8]))
-        for k in range(fleet.centres.shape[1]):
-            cx, cy, cz = fleet.centres[member, k, 0], fleet.centres[member, k, 1], fleet.centres[member, k, 2]
-            px = x + (r[0] * cx + r[1] * cy + r[2] * cz)
-            py = y + (r[3] * cx + r[4] * cy + r[5] * cz)
-            pz = z + (r[6] * cx + r[7] * cy + r[8] * cz)
-            part, radius = fleet.parts[k], fleet.radii[member, k]
+        for k in range(shapes.centres.shape[1]):
+            cx, cy, cz = (
+                shapes.centres[member, k, 0],
+                shapes.centres[member, k, 1],
+                shapes.centres[member, k, 2],
+            )
+            cx, cy, cz = to_world(r, cx, cy, cz)
+            px, py, pz = x + cx, y + cy, z + cz
+            part, radius = shapes.parts[k], shapes.radii[member, k]
             if near_floor:
                 out[i, 2, part] = min(out[i, 2, part], pz - radius)
             for b in range(sizes.shape[0]):
@@ -277,7 +250,7 @@ def _clearances(state, inclination, azimuth, position, which, fleet, within, out
 def reach_against(cosine, hull, lowered):
     """Return the reach [m] of a vehicle against a direction, from the cosine between that and its axis.
 
-    hull (3, 3): a row of `Fleet.hulls`; lowered [m]: see `reach_below`.
+    hull (3, 3): a row of `Shapes.hulls`; lowered [m]: see `reach_below`.
     """
     sine, reach = math.sqrt(max(0.0, 1.0 - cosine * cosine)), -math.inf
     for part in range(3):
@@ -287,21 +260,25 @@ def reach_against(cosine, hull, lowered):
 
 
 @inner
-def hull_distance(place, axis, turns, position, fleet, member, lowered):
+def hull_distance(place, axis, turns, position, shapes, member, lowered):
     """Return a lower bound of the distance [m] of a vehicle's shapes to a platform; -inf inside of it.
 
     place, axis (3,): position and thrust axis of the vehicle in the world; turns, position as in
-    `platform_distance`; member: its index in the fleet. The line from the nearest point of a box to the
+    `platform_distance`; member: its index in `shapes`. The line from the nearest point of a box to the
     vehicle's centre is the normal of a plane that has the whole box on its other side.
     """
     least, base = math.inf, (turns[0], _UPRIGHT, _UPRIGHT)
-    for b in range(len(fleet.box_sizes)):
+    for b in range(len(shapes.box_sizes)):
         of = turns if b == 0 else base
         dx, dy, dz = place[0] - position[b, 0], place[1] - position[b, 1], place[2] - position[b, 2]
         dx, dy, dz = _in_body(dx, dy, dz, of)
         ax, ay, az = _in_body(axis[0], axis[1], axis[2], of)
-        dx, dy, dz = dx - fleet.box_centres[b, 0], dy - fleet.box_centres[b, 1], dz - fleet.box_centres[b, 2]
-        sizes = fleet.box_sizes[b]
+        dx, dy, dz = (
+            dx - shapes.box_centres[b, 0],
+            dy - shapes.box_centres[b, 1],
+            dz - shapes.box_centres[b, 2],
+        )
+        sizes = shapes.box_sizes[b]
         dx -= min(sizes[0], max(-sizes[0], dx))
         dy -= min(sizes[1], max(-sizes[1], dy))
         dz -= min(sizes[2], max(-sizes[2], dz))
@@ -309,38 +286,38 @@ def hull_distance(place, axis, turns, position, fleet, member, lowered):
         if distance == 0.0:
             return -math.inf
         cosine = (ax * dx + ay * dy + az * dz) / distance
-        least = min(least, distance - reach_against(cosine, fleet.hulls[member], lowered))
+        least = min(least, distance - reach_against(cosine, shapes.hulls[member], lowered))
     return least
 
 
-def platform_clearances(state, platform, present, vehicle: Vehicle, shapes: Fleet) -> np.ndarray:
-    """Return the distance (n,) [m] of vehicles in states (n, 13) to their platforms (n, 12); inf if absent.
+def platform_clearances(state, platform, present, vehicle: Vehicle, shapes: Shapes, which=None) -> np.ndarray:
+    """Return the distance (n,) [m] of vehicles in states (n, 13) to their platforms (n, 12).
 
-    Every platform has a base as in `platform_poses`, for its present slope. Distances are negative if shapes
-    overlap.
+    which (n,): index of each in `shapes`. Every platform has a base as in `platform_poses`, for its present
+    slope. Distances are negative if shapes overlap, and more than 50 m to absent platforms.
     """
     inclination, azimuth, rolled = platform[:, PITCH], platform[:, YAW], platform[:, ROLL] != 0.0
     if rolled.any():
         inclination, azimuth = np.where(rolled, slope_of(platform), (inclination, azimuth))
     position, _ = platform_poses(inclination, present, vehicle, platform[:, Z], azimuth)
     position[:, :, :Z] += platform[:, None, :Z]
-    return clearances(state, inclination, position, shapes, azimuth=azimuth)[:, :2].min(axis=(1, 2))
+    distance = clearances(state, inclination, position, shapes, azimuth=azimuth, which=which)
+    return distance[:, :2].min(axis=(1, 2))
 
 
 def clearances(
-    state, inclination, position, shapes: Shapes | Fleet, out=None, azimuth=0.0, which=None, within=math.inf
+    state, inclination, position, shapes: Shapes, out=None, azimuth=0.0, which=None, within=math.inf
 ) -> np.ndarray:
     """Return the signed distance [m] of every part to every surface, (n, 3 surfaces, 3 parts).
 
     state (n, 13), inclination and azimuth (n,) or a number [rad], position (n, 4, 3) from
-    `platform_poses`; which (n,): index of each in the fleet. Distances are negative if shapes overlap. The
+    `platform_poses`; which (n,): index of each in `shapes`. Distances are negative if shapes overlap. The
     floor's entry is inf for vehicles well above it, and all entries may be inf if all distances exceed
     `within`.
     """
-    fleet = Fleet.of([shapes]) if isinstance(shapes, Shapes) else shapes
     which = np.zeros(len(state), int) if which is None else np.asarray(which)
     angles = np.empty((2, len(state)))
     angles[0], angles[1] = inclination, azimuth
     out = np.empty((len(state), 3, 3)) if out is None else out
-    _clearances(np.ascontiguousarray(state), *angles, position, which, fleet, float(within), out)
+    _clearances(np.ascontiguousarray(state), *angles, position, which, shapes, float(within), out)
     return out

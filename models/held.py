@@ -29,6 +29,8 @@ from inclined_landing.models.attitude import (
     rotation_entries,
     sine_cosine,
     small_sine_cosine,
+    to_body,
+    to_world,
 )
 from inclined_landing.models.attitude_loops import damping_rate, held_angle, held_step
 from inclined_landing.models.compiled import inlined, inner
@@ -105,14 +107,9 @@ def _acceleration(vx, vy, vz, turns, thrust, speed, s, v, lightness):
     r = rotation_entries(turns[0], turns[1], turns[2])
     # dv/dt = R f/m + push - (0, 0, g)
     ax, ay = vx - v.effects.wind[0], vy - v.effects.wind[1]
-    bx = r[0] * ax + r[3] * ay + r[6] * vz
-    by = r[1] * ax + r[4] * ay + r[7] * vz
-    bz = r[2] * ax + r[5] * ay + r[8] * vz
+    bx, by, bz = to_body(r, ax, ay, vz)
     fx, fy, fz, lift = in_the_air(thrust, speed, bx, by, bz, v)
-    fx, fy, fz = lightness * fx, lightness * fy, lightness * (fz + lift)
-    x = r[0] * fx + r[1] * fy + r[2] * fz
-    y = r[3] * fx + r[4] * fy + r[5] * fz
-    z = r[6] * fx + r[7] * fy + r[8] * fz
+    x, y, z = to_world(r, lightness * fx, lightness * fy, lightness * (fz + lift))
     if s.pushed:
         return x + s.push[0], y + s.push[1], z + s.push[2] - v.environment.gravity
     return x, y, z - v.environment.gravity

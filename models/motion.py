@@ -11,56 +11,51 @@ Velocities and accelerations are its derivatives, so that nothing is integrated 
 
 from __future__ import annotations
 
-import dataclasses
 from typing import NamedTuple
 
 import numpy as np
 
 from inclined_landing.models.attitude import PITCH, ROLL, VX, WX, WY, WZ, body_rates, sine_cosine
 from inclined_landing.models.base.errors import UserError
-from inclined_landing.models.compiled import inlined, inner, kernel
+from inclined_landing.models.compiled import inlined, kernel
 
 MODES = ("surge", "sway", "heave", "roll", "pitch", "yaw")
 _LARGEST_ROLL = 1.2  # rad: the angles' chart ends at 90 deg
 
 
 class Waves(NamedTuple):
-    """The arrays of a `Motion` for the compiled functions, with the same shapes."""
-
-    velocity: np.ndarray
-    amplitude: np.ndarray
-    frequency: np.ndarray
-    phase: np.ndarray
-
-
-@dataclasses.dataclass
-class Motion:
-    """Motions of n platforms, each with up to W waves per mode; modes in the order of MODES.
-
-    Raises UserError for arrays of other shapes, numbers that are not finite, and rolls beyond 1.2 rad.
-    """
+    """The parameters of the motions of n platforms, with up to W waves per mode, for compiled functions."""
 
     velocity: np.ndarray  # (n, 3) m/s
     amplitude: np.ndarray  # (n, 6, W) m, rad
     frequency: np.ndarray  # (n, 6, W) rad/s
     phase: np.ndarray  # (n, 6, W) rad
 
-    def __post_init__(self):
-        for field in dataclasses.fields(self):
-            value = getattr(self, field.name)
+
+class Motion:
+    """Motions of n platforms with the parameters `waves`; modes in the order of MODES.
+
+    Raises UserError for arrays of other shapes, numbers that are not finite, and rolls beyond 1.2 rad.
+    """
+
+    def __init__(self, velocity, amplitude, frequency, phase):
+        given, arrays = Waves(velocity, amplitude, frequency, phase), []
+        for name, value in given._asdict().items():
             try:
                 array = np.array(value, float, order="C")
             except (TypeError, ValueError, OverflowError):
-                raise UserError(f"a motion's {field.name} must be an array of numbers") from None
+                raise UserError(f"a motion's {name} must be an array of numbers") from None
             if not np.isfinite(array).all():
-                raise UserError(f"a motion's {field.name} contains NaN or infinity")
-            setattr(self, field.name, array)
-        n, waves = len(self), self.amplitude.shape[-1] if self.amplitude.ndim else 0
-        shapes = {"velocity": (n, 3)} | dict.fromkeys(("amplitude", "frequency", "phase"), (n, 6, waves))
-        for name, shape in shapes.items():
-            if (found := getattr(self, name).shape) != shape:
-                raise UserError(f"a motion's {name} must have shape {shape}, not {found}")
-        if (np.abs(self.amplitude[:, 3]).sum(axis=1) > _LARGEST_ROLL).any():
+                raise UserError(f"a motion's {name} contains NaN or infinity")
+            arrays.append(array)
+        self.waves = Waves(*arrays)
+        sizes = self.waves.amplitude
+        n, count = len(self), sizes.shape[-1] if sizes.ndim else 0
+        for name, array in self.waves._asdict().items():
+            shape = (n, 3) if name == "velocity" else (n, 6, count)
+            if array.shape != shape:
+                raise UserError(f"a motion's {name} must have shape {shape}, not {array.shape}")
+        if (np.abs(sizes[:, 3]).sum(axis=1) > _LARGEST_ROLL).any():
             raise UserError(f"the waves together may roll a platform by at most {_LARGEST_ROLL} rad")
 
     @classmethod
@@ -70,29 +65,25 @@ class Motion:
 
     @classmethod
     def unchecked(cls, *arrays: np.ndarray) -> Motion:
-        """Return the motion of valid, unshared `arrays` in the order of the fields."""
+        """Return the motion of valid, unshared `arrays` in the order of `Waves`."""
         motion = cls.__new__(cls)
-        motion.velocity, motion.amplitude, motion.frequency, motion.phase = arrays
+        motion.waves = Waves(*arrays)
         return motion
 
     def __len__(self) -> int:
-        return len(self.velocity) if self.velocity.ndim else 0
+        return len(self.waves.velocity) if self.waves.velocity.ndim else 0
 
     def __getitem__(self, ids) -> Motion:
         """Return copies of the motions of the platforms `ids`, an index array, a mask or a slice."""
-        return Motion.unchecked(*(np.array(values[ids]) for values in self.arrays))
+        return Motion.unchecked(*(np.array(values[ids]) for values in self.waves))
 
     def __setitem__(self, ids, motion: Motion) -> None:
         """Set the motions of the platforms `ids` (k,), with any number of waves."""
-        here, there = self.amplitude.shape[2], motion.amplitude.shape[2]
-        for name in ("amplitude", "frequency", "phase") if there > here else ():
-            setattr(self, name, np.pad(getattr(self, name), ((0, 0), (0, 0), (0, there - here))))
-        _replace(np.arange(len(self))[ids], motion.arrays, self.arrays)
-
-    @property
-    def arrays(self) -> Waves:
-        """The arrays for the compiled functions."""
-        return Waves(self.velocity, self.amplitude, self.frequency, self.phase)
+        more = motion.waves.amplitude.shape[2] - self.waves.amplitude.shape[2]
+        if more > 0:
+            velocity, *others = self.waves
+            self.waves = Waves(velocity, *(np.pad(x, ((0, 0), (0, 0), (0, more))) for x in others))
+        _replace(np.arange(len(self))[ids], motion.waves, self.waves)
 
     def at(self, times) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
         """Return displacement, rate and acceleration (n, 6) in each mode at times (n,) or one number [s].
@@ -100,7 +91,7 @@ class Motion:
         Rates and accelerations of the angles are those of the Euler angles.
         """
         out = np.empty((len(self), 3, 6))
-        _displacements(_times(times, len(self)), self.arrays, out)
+        _displacements(_times(times, len(self)), self.waves, out)
         return out[:, 0], out[:, 1], out[:, 2]
 
     def platforms(self, times, rest: np.ndarray) -> np.ndarray:
@@ -109,7 +100,7 @@ class Motion:
         rest (n, 12): the platforms' states where they do not move.
         """
         platform = np.array(rest, float)
-        _platforms(_times(times, len(self)), rest, self.arrays, platform)
+        _platforms(_times(times, len(self)), rest, self.waves, platform)
         return platform
 
 
@@ -157,30 +148,6 @@ def displacement(i, t, waves, out):
         out[0, mode], out[1, mode], out[2, mode] = x, v, a
 
 
-@inner
-def rate(i, t, waves, out):
-    """Write the rate alone, as in `displacement`, into `out` (6,)."""
-    for mode in range(6):
-        v = waves.velocity[i, mode] if mode < 3 else 0.0
-        for k in range(waves.amplitude.shape[2]):
-            size, omega = waves.amplitude[i, mode, k], waves.frequency[i, mode, k]
-            if size != 0.0:
-                v += size * omega * sine_cosine(omega * t + waves.phase[i, mode, k])[1]
-        out[mode] = v
-
-
-@inner
-def acceleration(i, t, waves, out):
-    """Write the acceleration alone, as in `displacement`, into `out` (6,)."""
-    for mode in range(6):
-        a = 0.0
-        for k in range(waves.amplitude.shape[2]):
-            size, omega = waves.amplitude[i, mode, k], waves.frequency[i, mode, k]
-            if size != 0.0:
-                a -= omega * omega * (size * sine_cosine(omega * t + waves.phase[i, mode, k])[0])
-        out[mode] = a
-
-
 @kernel
 def _displacements(times, waves, out):
     for i in range(len(out)):
@@ -189,23 +156,18 @@ def _displacements(times, waves, out):
 
 @kernel
 def _platforms(times, rest, waves, platform):
-    now, place = np.empty((3, 6)), np.empty(6)
+    now = np.empty((3, 6))
     for i in range(len(platform)):
         displacement(i, times[i], waves, now)
-        for k in range(3):
-            place[k], place[3 + k] = rest[i, k], rest[i, ROLL + k]
-        write_state(now, place, platform[i])
+        write_state(now, rest[i], platform[i])
 
 
 @inlined
-def write_state(now, place, out):
-    """Write the state of a platform into `out` (12,), from its `displacement` now and its place at rest.
-
-    place (6,): x, y, z, roll, pitch, yaw.
-    """
+def write_state(now, rest, out):
+    """Write the state of a platform into `out` (12,), from its `displacement` now and its state at rest."""
     turning = False
     for k in range(3):
-        out[k], out[VX + k], out[ROLL + k] = place[k] + now[0, k], now[1, k], place[3 + k] + now[0, 3 + k]
+        out[k], out[VX + k], out[ROLL + k] = rest[k] + now[0, k], now[1, k], rest[ROLL + k] + now[0, 3 + k]
         turning |= now[1, 3 + k] != 0.0
     if turning:
         rates = body_rates(out[ROLL], out[PITCH], now[1, 3], now[1, 4], now[1, 5])

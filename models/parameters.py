@@ -24,8 +24,6 @@ from inclined_landing.models.base import schema, storage
 from inclined_landing.models.base.errors import UserError, first_of, shown
 from inclined_landing.models.vehicle import Vehicle
 
-# Tables and entries that a vehicle file may leave out, whole or in part: the shipped entries are taken.
-_LATER = {"effects", "rotor", "disturbance", "attitude.yaw_gain", "attitude.damping"}
 _SHIPPED = "crazyflie.toml"
 Size = Annotated[float, Meta(ge=0, le=1e300)]
 _BASE, _BASED_ON = "crazyflie-2.1", "based_on"  # the latter begins a file that holds only what differs
@@ -80,10 +78,9 @@ def locate_vehicle(name: str | Path) -> Path:
 def constants(path: str | Path | None = None) -> list[Constant]:
     """Return every entry of a vehicle file, or of a shipped one by name, in the order of `crazyflie.toml`.
 
-    If another file lacks entries listed in `_LATER`, the shipped ones are used, so that files older than
-    these tables and entries keep their meaning; a file that begins with `based_on`, a shipped name, may lack
-    any entry. Ranges and units are the shipped ones; an entry may repeat its range. Raises UserError, naming
-    file and entry, when the file is unreadable or an entry is missing, unknown or not what it should be.
+    A file that begins with `based_on`, a shipped name, may lack entries, which are then that vehicle's.
+    Ranges and units are the shipped ones; an entry may repeat its range. Raises UserError, naming file and
+    entry, when the file is unreadable or an entry is missing, unknown or not what it should be.
     """
     if path is None:
         return list(_shipped().values())
@@ -100,10 +97,10 @@ def constants(path: str | Path | None = None) -> list[Constant]:
     known = {c.label for c in shipped.values()}
     if unknown := [label for label in found if label not in known]:
         raise UserError(f"{what} has unknown entries: {first_of(unknown)}")
-    missing = [c for c in shipped.values() if c.label not in found and not {c.section, c.label} & _LATER]
+    missing = [c.label for c in shipped.values() if c.label not in found]
     if missing and based_on is None:
         raise UserError(
-            f"{what} lacks entries: {first_of([c.label for c in missing])}; a file that contains only "
+            f"{what} lacks entries: {first_of(missing)}; a file that contains only "
             f'differences begins with {_BASED_ON} = "{_BASE}"'
         )
     return [

@@ -18,10 +18,8 @@ import numpy as np
 from msgspec import Meta
 
 from inclined_landing.models import geometry, plugins
-from inclined_landing.models.attitude import quaternion
 from inclined_landing.models.base import schema
 from inclined_landing.models.base.errors import UserError, shown
-from inclined_landing.models.delays import attitude_age
 from inclined_landing.models.parameters import as_vehicle
 from inclined_landing.models.plausible import ENGINE_STEP
 from inclined_landing.models.vehicle import SOLID_BELOW, Vehicle
@@ -63,7 +61,6 @@ def build_spec(
     keep_out: Zone = 0.0,
     timestep: Period = ENGINE_STEP,
     integrator: str = "RK4",
-    torque_limit: bool = True,
     pooled: float | None = None,
     moving: bool = False,
     loaded: bool | None = None,
@@ -73,10 +70,8 @@ def build_spec(
 
     visuals: keep the purely visual geoms (they cost time in simulation and change no physics).
     keep_out: zone around slab and base [m] in which contacts are reported without force.
-    torque_limit: clamp the attitude torques to the vehicle's authority.
     pooled: for a batch in which every simulation has its own vehicle, the longest delay of commands among
-        them [s]. Such scenes differ only in numbers and compile ten times as fast: motion capture is handled
-        by the plant, and textures have one pixel.
+        them [s]. Such scenes differ only in numbers and compile ten times as fast: textures have one pixel.
     moving: the platform has joints instead of being posed, so that it has a velocity, which friction
         transmits; it has no base.
     loaded: for a batch in which some vehicles have a slung load, whether there is a body for it, with almost
@@ -99,7 +94,7 @@ def build_spec(
     spec.option.wind = [*v.effects_wind, 0]
     if not contacts:
         spec.option.disableflags |= int(mujoco.mjtDisableBit.mjDSBL_CONTACT)
-    _fill_vehicle(spec, v, torque_limit)
+    _fill_vehicle(spec, v)
     _place_rotors(spec, v)
     if loaded if loaded is not None else v.effects_load_mass > 0.0:
         _hang_load(spec, v, visuals)
@@ -131,7 +126,7 @@ def _as_drawn(visuals: bool) -> mujoco.MjSpec:
     return spec
 
 
-def _fill_vehicle(spec: mujoco.MjSpec, v: Vehicle, torque_limit: bool) -> None:
+def _fill_vehicle(spec: mujoco.MjSpec, v: Vehicle) -> None:
     body = spec.body("crazyflie")
     body.explicitinertial = True
     body.mass = v.body_mass
@@ -156,8 +151,8 @@ def _fill_vehicle(spec: mujoco.MjSpec, v: Vehicle, torque_limit: bool) -> None:
         actuator.ctrlrange = limits
         if name != "thrust":
             limit = v.attitude_yaw_torque_limit if name == "yaw_rate" else v.attitude_torque_limit
-            actuator.forcelimited = torque_limit
-            actuator.forcerange = (-limit, limit) if torque_limit else (0.0, 0.0)
+            actuator.forcelimited = True
+            actuator.forcerange = (-limit, limit)
     for key in spec.keys:
         if key.name == "hover":
             key.act = [v.hover_lag, 0, 0]
@@ -243,38 +238,16 @@ def _add_numbers(spec: mujoco.MjSpec, v: Vehicle) -> None:
 
 
 def _fill_delays(spec: mujoco.MjSpec, v: Vehicle, pooled: float | None) -> None:
-    """Set the delays of the commands and of the motion capture measurement in the engine.
+    """Set the delays of the commands in the engine.
 
-    The plugins take a delayed command as held over the step (`plugin/README.md`). Sensors are added only with
-    a delay or a tilt; the plant has its own `measurement`.
+    The plugins take a delayed command as held over the step (`plugin/README.md`).
     """
     delays = dict.fromkeys(("roll", "pitch", "yaw_rate"), v.effects_attitude_delay)
     for name, delay in {"thrust": v.effects_thrust_delay, **delays}.items():
         longest = delay if pooled is None else pooled
         if longest > 0:
             spec.actuator(name).delay = delay
-            spec.actuator(name).nsample = _samples(longest, spec)
-    if pooled is not None:
-        return
-    ages = {"position": v.effects_mocap_delay, "attitude": attitude_age(v)}
-    if any(ages.values()) or any(v.effects_mocap_tilt):
-        turn = np.array(quaternion(*v.effects_mocap_tilt, 0.0))
-        spec.body("crazyflie").add_site(name="mocap", quat=turn, group=4, size=[0.002, 0, 0])
-        for name, kind in (("position", "POS"), ("attitude", "QUAT")):
-            spec.add_sensor(
-                name=f"mocap_{name}",
-                type=getattr(mujoco.mjtSensor, f"mjSENS_FRAME{kind}"),
-                objtype=mujoco.mjtObj.mjOBJ_SITE,
-                objname="mocap",
-                delay=ages[name],
-                nsample=_samples(ages[name], spec) + 1 if ages[name] > 0 else 0,
-                interp=1,  # linear
-            )
-
-
-def _samples(delay: float, spec: mujoco.MjSpec) -> int:
-    """Return the number of past time steps that a delay [s] spans."""
-    return max(1, math.ceil(delay / spec.option.timestep - 1e-9))
+            spec.actuator(name).nsample = max(1, math.ceil(longest / spec.option.timestep - 1e-9))
 
 
 def _fill_platform(spec: mujoco.MjSpec, v: Vehicle, keep_out: float) -> None:

@@ -20,10 +20,11 @@ from inclined_landing.models.attitude import (
     YAW,
     X,
     Z,
-    rotation,
     rotation_entries,
     rotations,
     sine_cosine,
+    to_body,
+    to_world,
 )
 from inclined_landing.models.compiled import inlined, kernel
 
@@ -146,10 +147,8 @@ def _write_platform_motion(d, out):
     a, b, c = d[WX], d[WX + 1], d[WX + 2]
     if a != 0.0 or b != 0.0 or c != 0.0:
         r = rotation_entries(sine_cosine(d[ROLL]), sine_cosine(d[PITCH]), yaw)
-        wx = r[0] * a + r[1] * b + r[2] * c
-        wy = r[3] * a + r[4] * b + r[5] * c
+        wx, wy, out[5] = to_world(r, a, b, c)
         out[3], out[4] = cos * wx + sin * wy, cos * wy - sin * wx
-        out[5] = r[6] * a + r[7] * b + r[8] * c
     else:
         out[3] = out[4] = out[5] = 0.0
 
@@ -246,17 +245,12 @@ def _relative(state, platform, position, velocity, rate):
             x[k], v[k], w[k] = s[k] - d[k], s[VX + k] - d[VX + k], s[WX + k]
         a, b, c = d[WX], d[WX + 1], d[WX + 2]
         if a != 0.0 or b != 0.0 or c != 0.0:
-            r = rotation(d[ROLL], d[PITCH], d[YAW])
-            # The platform's rates along the world's axes.
-            a, b, c = (
-                r[0, 0] * a + r[0, 1] * b + r[0, 2] * c,
-                r[1, 0] * a + r[1, 1] * b + r[1, 2] * c,
-                r[2, 0] * a + r[2, 1] * b + r[2, 2] * c,
-            )
+            r = rotation_entries(sine_cosine(d[ROLL]), sine_cosine(d[PITCH]), sine_cosine(d[YAW]))
+            a, b, c = to_world(r, a, b, c)  # the platform's rates
             # v - omega x r, r the position from the platform's centre
             v[0] -= b * x[2] - c * x[1]
             v[1] -= c * x[0] - a * x[2]
             v[2] -= a * x[1] - b * x[0]
-            r = rotation(s[ROLL], s[PITCH], s[YAW])
-            for k in range(3):
-                w[k] -= r[0, k] * a + r[1, k] * b + r[2, k] * c
+            r = rotation_entries(sine_cosine(s[ROLL]), sine_cosine(s[PITCH]), sine_cosine(s[YAW]))
+            a, b, c = to_body(r, a, b, c)
+            w[0], w[1], w[2] = w[0] - a, w[1] - b, w[2] - c

@@ -50,7 +50,7 @@ def joined(starts: Sequence[Start]) -> Start:
 
     def concatenated(*parts):
         if isinstance(parts[0], Motion):
-            return Motion(*map(np.concatenate, zip(*(motion.arrays for motion in parts))))
+            return Motion(*map(np.concatenate, zip(*(motion.waves for motion in parts))))
         return np.concatenate(parts)
 
     return _of_each(concatenated, *starts)

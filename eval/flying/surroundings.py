@@ -38,7 +38,7 @@ class Surroundings:
         n = len(states)
         platform = np.repeat(self._platform, n, axis=0)
         to = geometry.clearances(states, np.full(n, self.inclination), platform, self._shapes).min(axis=2)
-        floor = np.where(np.isfinite(to[:, 2]), to[:, 2], states[:, 2] - self._shapes.reach)
+        floor = np.where(np.isfinite(to[:, 2]), to[:, 2], states[:, 2] - self._shapes.reach[0])
         return np.stack([to[:, :2].min(axis=1), floor], axis=1)
 
     def in_contact(self, state: np.ndarray) -> bool:

@@ -163,7 +163,7 @@ def _constants(plant: MujocoPlant, p: dict[str, np.ndarray]) -> LandingConstants
     return LandingConstants(
         *(-p["inclination"], p["foot_height"], plant.contact_sensors),
         *(v.slab_half_length, 0.5 * v.platform_depth, v.platform_surface_height),
-        *(float(shapes.centres[feet, 0].max()), float(shapes.radii[feet][0])),
+        *(float(shapes.centres[0, feet, 0].max()), float(shapes.radii[0, feet][0])),
         plant.model.opt.timestep,
     )
 

@@ -43,7 +43,9 @@ class AnalyticPlant(Plant):
         self.substeps = substeps
         others = self.pool if sizes_differ(self._vehicles) else ()
         models = (build_spec(v, visuals=False, pooled=0.0).compile() for v in others)
-        self._meet([geometry.shapes_of(model) for model in (compile_scene(self.vehicle), *models)])
+        self.shapes = geometry.Shapes.of(
+            [geometry.shapes_of(model) for model in (compile_scene(self.vehicle), *models)]
+        )
         self._position, _ = geometry.platform_poses(self.inclination, self.present, self.vehicle)
         self._distance = np.empty((n, 3, 3))
         self._ambient = forces.free_air(n)
@@ -91,7 +93,7 @@ class AnalyticPlant(Plant):
         if self.disturbance:
             self.disturbance.step()
         self.delays.push_state(self.state, self._everyone)
-        where = self.inclination, self._position, self.fleet
+        where = self.inclination, self._position, self.shapes
         within = float(self.keep_out)
         geometry.clearances(self.state, *where, self._distance, self.azimuth, self.size, within)
         np.less(self._distance, self.keep_out, out=self.contacts.near)

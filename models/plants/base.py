@@ -49,8 +49,6 @@ def sizes_differ(vehicles: Sequence[Vehicle]) -> bool:
 class Plant:
     """The base of all plants: platform poses, perturbations, disturbance of the air, snapshots.
 
-    shapes, fleet: the collision shapes of the plant's own vehicle, and of all that it has.
-
     pool: vehicles that `assign` can select instead of the plant's own vehicle, which all are initially. They
     share its platform and commands; their rotors and arms may differ.
 
@@ -77,8 +75,7 @@ class Plant:
         options = {"n": n, "attitude": attitude, "keep_out": keep_out, "control_period": control_period}
         schema.check(options, schema.kinds_of(Plant.__init__))
         self.n = n
-        self.shapes: geometry.Shapes
-        self.fleet: geometry.Fleet
+        self.shapes: geometry.Shapes  # of the plant's own vehicle, then of its pool if sizes differ
         self.vehicle = as_vehicle(vehicle)
         if isinstance(pool, str) or not isinstance(pool, Iterable):
             raise UserError(f"pool must be a list of vehicles, not {shown(repr(pool), 40)}")
@@ -123,7 +120,7 @@ class Plant:
             "near": c.near,
             "touch": c.touch,
             "force": c.force,
-            "deck": self.platform,  # the name in checkpoints of earlier versions
+            "platform": self.platform,
             "present": self.present,
             "perturbation": self.perturbation,
             "integral": self.integral,
@@ -251,24 +248,15 @@ class Plant:
         where, height = (self.inclination[ids], self.present[ids]), self._heights[self.choice[ids]]
         return geometry.platform_poses(*where, self.vehicle, height, self.azimuth[ids])
 
-    def _meet(self, shapes: Sequence[geometry.Shapes]) -> None:
-        """Set the shapes of the plant's own vehicle and of the vehicles of its pool."""
-        self.shapes, self.fleet = shapes[0], geometry.Fleet.of(shapes)
-
     @property
     def size(self) -> np.ndarray:
-        """Index (n,) of each vehicle in `fleet`."""
-        return self._alike if self.fleet.has_one_shape else self.choice
+        """Index (n,) of each vehicle in `shapes`."""
+        return self._alike if self.shapes.are_equal else self.choice
 
     def clearance(self, ids: np.ndarray, state: np.ndarray) -> np.ndarray:
-        """Return the distances (k,) [m] of the vehicles `ids`, in `state` (k, 13), to their platforms.
-
-        Distances are negative if shapes overlap, and inf without a platform.
-        """
-        position, _ = self._platform_poses(ids)
-        where = self.inclination[ids], position, self.fleet
-        distance = geometry.clearances(state, *where, azimuth=self.azimuth[ids], which=self.size[ids])
-        return distance[:, :2].min(axis=(1, 2))
+        """Return `geometry.platform_clearances` (k,) [m] of the vehicles `ids`, in `state` (k, 13)."""
+        where = self.platform[ids], self.present[ids], self.vehicle, self.shapes
+        return geometry.platform_clearances(state, *where, self.size[ids])
 
     def perturb(self, **changes) -> None:
         """Set named deviations (see `perturbation.NAMES`) to a number or an (n,) array."""

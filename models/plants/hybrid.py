@@ -14,11 +14,10 @@ bound of the speed: the larger speed of the step's two ends plus the change of v
 
 The distance to a moving platform is computed in a frame that moves with the velocity of the platform's centre
 at the beginning of the period. It is reduced by a bound on the displacement of any point of the platform in
-that frame since then: by a speed that the motion never exceeds (`platforms.MOST`) or, if that leaves no room,
-by one that it does not exceed in this period (`strays`). If there is still no room, the sphere is replaced by
-a disc that contains all parts, and the disc's rotation is bounded too. No contact that the engine would
-detect is missed, and contacts, forces and the keep-out zone are always the engine's. A platform is moved to
-its pose in the engine when the engine flies the vehicle or the plant is saved.
+that frame since then (`Platforms.renew`). If that leaves no room, the sphere is replaced by a disc that
+contains all parts, and the disc's rotation is bounded too. No contact that the engine would detect is
+missed, and contacts, forces and the keep-out zone are always the engine's. A platform is moved to its pose in
+the engine when the engine flies the vehicle or the plant is saved.
 
 The equations fly only attitudes and rates for which they are as accurate as the engine: roll and pitch away
 from the Euler angles' singularity at 90 deg, and rotations of less than `_TURN` in a time step. They contain
@@ -26,8 +25,7 @@ torque limits, clamped commands, motors that are off, perturbations, disturbance
 commands are written to the engine's history in the engine's format. The engine flies vehicles with kinematic
 attitude, the mode for exact comparison, and while its steps are recorded (`advance(record=...)`). It also
 flies vehicles over platforms that can move if their forces may depend on the platform's position, as the
-ground effect does, because the equations assume a platform at rest. The engine's delayed motion capture
-sensors, which nothing reads, are only updated by the engine's steps.
+ground effect does, because the equations assume a platform at rest.
 """
 
 from __future__ import annotations
@@ -40,25 +38,23 @@ import numpy as np
 
 from inclined_landing.models import equations, forces, geometry, held, threads
 from inclined_landing.models.attitude import (
-    LAG,
     PITCH,
     PWM,
     ROLL,
     VX,
     VY,
     VZ,
-    WX,
     YAW,
     X,
     Y,
     Z,
-    quaternion,
+    rotation_entries,
     sine_cosine,
 )
-from inclined_landing.models.compiled import inlined, inner, unlocked
+from inclined_landing.models.compiled import inlined, unlocked
 from inclined_landing.models.plants.engine import Columns
-from inclined_landing.models.plants.mujoco import MujocoPlant
-from inclined_landing.models.plants.platforms import MOST, STILL, Moving, strays
+from inclined_landing.models.plants.mujoco import MujocoPlant, write_pose
+from inclined_landing.models.plants.platforms import STILL, Moving
 
 # Distance that must remain besides the vehicle's motion. It covers 0.03 mm between the paths of engine and
 # equations, and the displacement dt^2/8 da by a change da of the acceleration, which the speeds at both ends
@@ -92,13 +88,12 @@ class _Vehicles(NamedTuple):
 
     constants: np.ndarray  # (n,) or (1,) from `forces.pack`
     perturbation: np.ndarray  # (n, 7)
-    size: np.ndarray  # (n,) member of the fleet
-    fleet: geometry.Fleet
+    size: np.ndarray  # (n,) index in `shapes`
+    shapes: geometry.Shapes
     contact: np.ndarray  # (n, 4), the last the feet's reach below the centre of mass [m]
     foot_height: float  # m, without the effect of that name
     keep_out: float  # m
     command_range: np.ndarray  # (4, 2)
-    torque_limited: bool
     timestep: float  # s
     substeps: int
 
@@ -109,7 +104,6 @@ class _Platforms(NamedTuple):
     platform: np.ndarray  # (n, 12)
     present: np.ndarray  # (n,) bool
     bodies: np.ndarray  # (4,) which of the engine's mocap bodies are geometry.PLATFORM_BODIES
-    reach: float  # m, from `geometry.platform_reach`
 
 
 class _Engine(NamedTuple):
@@ -132,16 +126,8 @@ class _Results(NamedTuple):
     in_engine: np.ndarray  # (n,) bool
 
 
-class _Gaps(NamedTuple):
-    """Distances [m] of a vehicle's centre to platform and floor, and its radius, 0 if they include it."""
-
-    platform: float
-    floor: float
-    radius: float
-
-
-class _Ways(NamedTuple):
-    """By how much [m] a vehicle's motion brings it nearer to platform and floor at most."""
+class _ToSurfaces(NamedTuple):
+    """Distances [m] to the platform and to the floor: a vehicle's, or by how much its motion reduces them."""
 
     platform: float
     floor: float
@@ -165,12 +151,11 @@ class HybridPlant(MujocoPlant):
             constants=self._constants,
             perturbation=self.perturbation,
             size=self.size,
-            fleet=self.fleet,
+            shapes=self.shapes,
             contact=self._contact,
             foot_height=self.foot_height - self.vehicle.effects_foot_height,
             keep_out=float(self.keep_out),
             command_range=model.actuator_ctrlrange,
-            torque_limited=bool(model.actuator_forcelimited[self._loops].all()),
             timestep=model.opt.timestep,
             substeps=self.substeps,
         )
@@ -179,8 +164,7 @@ class HybridPlant(MujocoPlant):
         super()._bind(batch)
         histories = self.model.actuator_history[:, 0], self.model.actuator_historyadr
         self._engine = _Engine(batch.state, self._columns, *histories)
-        reach = geometry.platform_reach(self.vehicle)
-        self._platforms = _Platforms(self.platform, self.present, self._mocap, reach)
+        self._platforms = _Platforms(self.platform, self.present, self._mocap)
 
     def advance(self, commands, ids=None, record=()):
         """`step` without its check, for the vehicles `ids` (k,) alone; see `MujocoPlant.advance`."""
@@ -241,7 +225,7 @@ def _fly(ids, first, last, numbers, period, vehicles, platforms, engine, results
     """
     dt, substeps, constant = vehicles.timestep, vehicles.substeps, len(period.commands) == 1
     motions, steps, length = period.moving, np.zeros(1, equations.STEP), substeps * dt
-    at, moving, rates = engine.at, len(motions.courses) > 0, np.empty(6)
+    at, moving, boxes, sizes = engine.at, len(motions.most) > 0, *vehicles.shapes[5:]
     integral = engine.state[:, at.act + 1 : at.act + 3]
     poses, platform, state = np.empty((len(platforms.bodies), 3)), platforms.platform, results.state
     for row in range(first, last):
@@ -256,96 +240,70 @@ def _fly(ids, first, last, numbers, period, vehicles, platforms, engine, results
         equations.disturb(s, vehicles.perturbation, period.push, i)
         for k in range(3):
             s.torque_limits[k] = v.attitude.yaw_torque_limit if k == 2 else v.attitude.torque_limit
-            if not vehicles.torque_limited:
-                s.torque_limits[k] = math.inf
-            elif period.torque_needs_motors and not flown[at.ctrl + PWM] > 0.0:
+            if period.torque_needs_motors and not flown[at.ctrl + PWM] > 0.0:
                 s.torque_limits[k] = 0.0
         for k in range(3):
             poses[0, k] = platform[i, k]
+            for b in range(1, len(poses)):
+                poses[b, k] = flown[at.mocap_pos + 3 * platforms.bodies[b] + k]
         if not present:
             poses[0, Z] = geometry.PARKED
-        approach, known = 0.0, True  # m that the slab strays nearer in a time step; is it the least
-        px, py, pz = 0.0, 0.0, 0.0  # velocity of the platform [m/s]
+        turns = geometry.platform_turns(platform[i, ROLL], platform[i, PITCH], platform[i, YAW])
+        carrier, approach = (0.0, 0.0, 0.0), 0.0  # velocity of the platform [m/s]; m by which it strays in dt
         if moving and present:
-            px, py, pz = platform[i, VX], platform[i, VY], platform[i, VZ]
-            approach = dt * motions.courses[i, MOST]
-            known = approach == 0.0
-        carrier = px, py, pz
+            carrier, approach = (platform[i, VX], platform[i, VY], platform[i, VZ]), dt * motions.most[i]
         ambient[forces.TIME], ambient[forces.VOLTAGE] = time, math.nan
         ambient[forces.INCLINATION], ambient[forces.PRESENT] = platform[i, PITCH], present
         ambient[forces.AZIMUTH] = platform[i, YAW]
         lowered = max(0.0, vehicles.contact[i, 3] - vehicles.foot_height - v.effects.foot_height)
-        radius = vehicles.fleet.reach[vehicles.size[i]] + lowered
+        radius = vehicles.shapes.reach[vehicles.size[i]] + lowered
         equations.pack_state(state, i, y)
         equations.take_states(s, results.load, integral, i, v)
         known_there = not (moving and present) or forces.neutral(record, numbers, _OF_THE_PLACE)
-        out_of_reach, step = known_there, 0
-        solvable = held.solvable(s, v, record, numbers)
-        if out_of_reach and solvable and (constant or _is_held(period.commands, i)):
+        step, solvable = 0, held.solvable(s, v, record, numbers)
+        if known_there and solvable and (constant or _is_held(period.commands, i)):
             # All of the period at once, where there is room for that.
             _take_command(u, period.commands, step, i, vehicles.command_range)
-            place, velocity = (y[X], y[Y], y[Z]), (y[VX], y[VY], y[VZ])
-            before, exact, strayed = _ways(velocity, carrier, length), False, substeps * approach
-            # Few are so near that the distance itself is needed.
-            distance = geometry.least_distance(place[0], place[1], place[2], poses[0], platforms.reach)
-            gaps = _Gaps(distance - vehicles.keep_out, place[2], radius)
-            if not _has_room(gaps, strayed, before):
-                distance, exact = _distance(place, i, platforms, poses, flown, at, vehicles.fleet), True
-                gaps = _Gaps(distance - vehicles.keep_out, place[2], radius)
-            if _has_room(gaps, strayed, before) and held.fly(s, v, length, _LARGEST_ANGLE, _TURN / dt):
-                moved = _moved(velocity, y, carrier, length)
-                if not (exact or _has_room(gaps, strayed, moved)):
-                    distance = _distance(place, i, platforms, poses, flown, at, vehicles.fleet)
-                    gaps = _Gaps(distance - vehicles.keep_out, place[2], radius)
-                if _has_room(gaps, strayed, moved):
+            velocity = y[VX], y[VY], y[VZ]
+            distance = geometry.platform_distance(y[X], y[Y], y[Z], turns, poses, boxes, sizes)
+            strayed = substeps * approach
+            gaps = _ToSurfaces(distance - vehicles.keep_out - strayed - radius, y[Z] - radius)
+            if _has_room(gaps, _ways(velocity, carrier, length)) and held.fly(
+                s, v, length, _LARGEST_ANGLE, _TURN / dt
+            ):
+                if _has_room(gaps, _moved(velocity, y, carrier, length)):
                     step = substeps
                 else:
                     equations.pack_state(state, i, y)
                     ambient[forces.TIME] = time
-        while out_of_reach and step < substeps:
+        while known_there and step < substeps:
             if step == 0 or not constant:
                 _take_command(u, period.commands, step, i, vehicles.command_range)
             # Distance to spare > dt |w| before the step, and > dt (max(|w|, |w'|) + |w' - w|) after it, w the
             # velocity relative to the platform's centre, or to the floor.
-            t, velocity, height = step * dt, (y[VX], y[VY], y[VZ]), y[Z]
-            place = y[X] - t * px, y[Y] - t * py, y[Z] - t * pz
-            before, strayed = _ways(velocity, carrier, dt), (step + 1) * approach
-            doubtful = _Ways(1.5 * before.platform, 1.5 * before.floor)
-            distance = geometry.least_distance(place[0], place[1], place[2], poses[0], platforms.reach)
-            gaps, exact = _Gaps(distance - vehicles.keep_out, height, radius), False
-            if not _has_room(gaps, strayed, doubtful):
-                distance, exact = _distance(place, i, platforms, poses, flown, at, vehicles.fleet), True
-                gaps = _Gaps(distance - vehicles.keep_out, height, radius)
-            if not (known or _has_room(gaps, strayed, before)):
-                approach, known = dt * strays(i, time, present, motions, rates), True
-                strayed = (step + 1) * approach
-            rate = y[equations.RATES], y[equations.RATES + 1], y[equations.RATES + 2]
-            flat = moving and not _has_room(gaps, strayed, doubtful)
+            t, velocity = step * dt, (y[VX], y[VY], y[VZ])
+            px, py, pz = y[X] - t * carrier[0], y[Y] - t * carrier[1], y[Z] - t * carrier[2]
+            distance = geometry.platform_distance(px, py, pz, turns, poses, boxes, sizes)
+            beyond = vehicles.keep_out + (step + 1) * approach
+            gaps, ways = _ToSurfaces(distance - beyond - radius, y[Z] - radius), _ways(velocity, carrier, dt)
+            flat = moving and not _has_room(gaps, _ToSurfaces(1.5 * ways.platform, 1.5 * ways.floor))
             if flat:  # how flat the vehicle is counts, and then how it turns
-                (sr, cr), (sp, cp), (sy, cy) = (
-                    sine_cosine(y[ROLL]),
-                    sine_cosine(y[PITCH]),
-                    sine_cosine(y[YAW]),
-                )
-                axis = cy * sp + sy * sr * cp, sy * sp - cy * sr * cp, cr * cp
-                distance = _hull_distance(place, axis, i, platforms, poses, vehicles, lowered)
-                below = geometry.reach_against(axis[2], vehicles.fleet.hulls[vehicles.size[i]], lowered)
-                gaps = _Gaps(distance - vehicles.keep_out, height - below, 0.0)
-            if not (_has_room(gaps, strayed, before) and _as_exact(y, dt)):
+                r = rotation_entries(sine_cosine(y[ROLL]), sine_cosine(y[PITCH]), sine_cosine(y[YAW]))
+                axis, member = (r[2], r[5], r[8]), vehicles.size[i]
+                hull = turns, poses, vehicles.shapes, member, lowered
+                distance = geometry.hull_distance((px, py, pz), axis, *hull)
+                below = geometry.reach_against(axis[2], vehicles.shapes.hulls[member], lowered)
+                gaps = _ToSurfaces(distance - beyond, y[Z] - below)
+            if not (_has_room(gaps, ways) and _as_exact(y, dt)):
                 break
+            rate = y[equations.RATES], y[equations.RATES + 1], y[equations.RATES + 2]
             if not (solvable and held.fly(s, v, dt, _LARGEST_ANGLE, _TURN / dt)):
                 equations.rk4(s, v, dt)
-            moved = _moved(velocity, y, carrier, dt)
+            ways = _moved(velocity, y, carrier, dt)
             if flat:
                 turned = radius * _turned(rate, y, dt)
-                moved = _Ways(moved.platform + turned, moved.floor + turned)
-            if not (exact or _has_room(gaps, strayed, moved)):
-                distance = _distance(place, i, platforms, poses, flown, at, vehicles.fleet)
-                gaps = _Gaps(distance - vehicles.keep_out, height, radius)
-            if not (known or _has_room(gaps, strayed, moved)):
-                approach, known = dt * strays(i, time, present, motions, rates), True
-                strayed = (step + 1) * approach
-            if not _has_room(gaps, strayed, moved):
+                ways = _ToSurfaces(ways.platform + turned, ways.floor + turned)
+            if not _has_room(gaps, ways):
                 break
             step += 1
         if step < substeps or not _as_exact(y, dt):
@@ -387,9 +345,9 @@ def _size(x, y, z):
 
 @inlined
 def _ways(velocity, carrier, dt):
-    """Return the `_Ways` of a velocity in `dt` [s]; carrier: the velocity of the platform."""
+    """Return how much nearer a velocity leads to the surfaces in `dt` [s]; carrier: that of the platform."""
     x, y, z = velocity
-    return _Ways(dt * _size(x - carrier[0], y - carrier[1], z - carrier[2]), dt * _size(x, y, z))
+    return _ToSurfaces(dt * _size(x - carrier[0], y - carrier[1], z - carrier[2]), dt * _size(x, y, z))
 
 
 @inlined
@@ -398,7 +356,7 @@ def _moved(velocity, y, carrier, dt):
     before, after = _ways(velocity, carrier, 1.0), _ways((y[VX], y[VY], y[VZ]), carrier, 1.0)
     change = _size(y[VX] - velocity[0], y[VY] - velocity[1], y[VZ] - velocity[2])
     platform, floor = max(before.platform, after.platform), max(before.floor, after.floor)
-    return _Ways(dt * (platform + change), dt * (floor + change))
+    return _ToSurfaces(dt * (platform + change), dt * (floor + change))
 
 
 @inlined
@@ -414,49 +372,17 @@ def _turned(rate, y, dt):
     return dt * (max(before, after) + change)
 
 
-@inner
-def _hull_distance(here, axis, i, platforms, poses, vehicles, lowered):
-    """Return the distance [m] of vehicle i, with its point and axis, to `poses` of `_distance`."""
-    d = platforms.platform[i]
-    turns = geometry.platform_turns(d[ROLL], d[PITCH], d[YAW])
-    return geometry.hull_distance(here, axis, turns, poses, vehicles.fleet, vehicles.size[i], lowered)
-
-
-@inner
-def _distance(here, i, platforms, poses, row, at, fleet):
-    """Return the distance [m] of a point (x, y, z) to platform i, whose slab is at poses[0] (3,).
-
-    row (s,): the row of the engine, which contains the poses of the base; poses (4, 3) are filled with those
-    of all bodies.
-    """
-    for b in range(1, len(poses)):
-        for k in range(3):
-            poses[b, k] = row[at.mocap_pos + 3 * platforms.bodies[b] + k]
-    d = platforms.platform[i]
-    turns = geometry.platform_turns(d[ROLL], d[PITCH], d[YAW])
-    boxes, sizes = fleet.box_centres, fleet.box_sizes
-    return geometry.platform_distance(here[0], here[1], here[2], turns, poses, boxes, sizes)
-
-
 @inlined
-def _has_room(gaps, strayed, ways):
-    """Return whether a vehicle stays clear of platform and floor in a time; see the module's docstring.
-
-    strayed: by how much the platform comes nearer [m].
-    """
-    platform, floor = gaps.platform - strayed - gaps.radius, gaps.floor - gaps.radius
-    return platform - _MARGIN > ways.platform and floor - _MARGIN > ways.floor
+def _has_room(gaps, ways):
+    """Return whether a vehicle with these distances stays clear of all surfaces in a motion by `ways`."""
+    return gaps.platform - _MARGIN > ways.platform and gaps.floor - _MARGIN > ways.floor
 
 
 @inlined
 def _write(row, state, substeps, dt, engine):
     """Write a vehicle's state (13,), after some time steps of `dt` [s], into its row (s,) of the engine."""
     at = engine.at
-    for k in range(3):
-        row[at.qpos + k], row[at.qvel + k], row[at.qvel + 3 + k] = state[k], state[VX + k], state[WX + k]
-    w, x, y, z = quaternion(state[ROLL], state[PITCH], state[YAW])
-    row[at.qpos + 3], row[at.qpos + 4], row[at.qpos + 5], row[at.qpos + 6] = w, x, y, z
-    row[at.act] = state[LAG]
+    write_pose(row, state, at)
     for _ in range(substeps):
         for k in range(len(engine.samples)):
             begin = at.history + engine.addresses[k]

@@ -28,7 +28,7 @@ from inclined_landing.models.attitude import (
 )
 from inclined_landing.models.base import schema
 from inclined_landing.models.base.errors import UserError
-from inclined_landing.models.compiled import kernel
+from inclined_landing.models.compiled import inlined, kernel
 from inclined_landing.models.disturbance import Disturbance, Seed
 from inclined_landing.models.motion import Motion
 from inclined_landing.models.plants.base import Attitude, Plant, sizes_differ
@@ -76,7 +76,6 @@ class MujocoPlant(Plant):
         integrator: str = "RK4",
         timestep: Period = ENGINE_STEP,
         threads: Annotated[int, Meta(ge=0, le=1024)] = 0,
-        torque_limit: bool = True,
         torque_needs_motors: bool = False,
         disturbance: Seed | None = None,
         pool: Sequence[Vehicle] = (),
@@ -85,7 +84,7 @@ class MujocoPlant(Plant):
     ):
         super().__init__(n, vehicle, attitude, keep_out, control_period, disturbance, pool)
         checked = {"timestep": timestep, "threads": threads, "moving": moving, "contacts": contacts}
-        checked |= {"torque_limit": torque_limit, "torque_needs_motors": torque_needs_motors}
+        checked["torque_needs_motors"] = torque_needs_motors
         schema.check(checked, schema.kinds_of(MujocoPlant.__init__))
         self.substeps = round(self.control_period / timestep)
         if self.substeps < 1 or abs(self.substeps * timestep - self.control_period) > 1e-12:
@@ -97,7 +96,6 @@ class MujocoPlant(Plant):
             "integrator": integrator,
             "timestep": timestep,
             "keep_out": keep_out,
-            "torque_limit": torque_limit,
             "moving": moving,
             "contacts": contacts,
             "loaded": len(self.load) > 0,
@@ -110,7 +108,7 @@ class MujocoPlant(Plant):
         others = [compile_scene(v, **options) for v in self.pool]
         self._fields = differing_fields([self.model, *others])
         of_all = [self.model, *others] if sizes_differ(self._vehicles) else [self.model]
-        self._meet([geometry.shapes_of(model) for model in of_all])
+        self.shapes = geometry.Shapes.of([geometry.shapes_of(model) for model in of_all])
         self._load_joint = load_joint(self.model)
         self._mocap = np.array([int(self.model.body(b).mocapid[0]) for b in geometry.PLATFORM_BODIES])
         self.platforms: Platforms | None = None  # of a moving plant
@@ -460,16 +458,23 @@ def _copy_rows(ids, choice, rows, out):
             out[i, k] = rows[choice[i], k]
 
 
+@inlined
+def write_pose(row, state, at):
+    """Write a vehicle's state (13,) into its row (s,) of the engine."""
+    for k in range(3):
+        row[at.qpos + k], row[at.qvel + k], row[at.qvel + 3 + k] = state[k], state[VX + k], state[WX + k]
+    w, x, y, z = quaternion(state[ROLL], state[PITCH], state[YAW])
+    row[at.qpos + 3], row[at.qpos + 4], row[at.qpos + 5], row[at.qpos + 6] = w, x, y, z
+    row[at.act] = state[LAG]
+
+
 @kernel
 def _write_state(ids, state, engine, at):
     """Begin at the states (k, 13) of the vehicles `ids` in the engine's rows (n, s); at: `Columns`."""
     for k in range(len(ids)):
-        row, s, qpos, qvel = engine[ids[k]], state[k], at.qpos, at.qvel
-        for j in range(3):
-            row[qpos + j], row[qvel + j], row[qvel + 3 + j] = s[j], s[VX + j], s[WX + j]
-        w, x, y, z = quaternion(s[ROLL], s[PITCH], s[YAW])
-        row[qpos + 3], row[qpos + 4], row[qpos + 5], row[qpos + 6] = w, x, y, z
-        row[at.act], row[at.time] = s[LAG], 0.0
+        row, s = engine[ids[k]], state[k]
+        write_pose(row, s, at)
+        row[at.time] = 0.0
         row[at.ctrl : at.ctrl + COMMAND_SIZE] = 0.0
         row[at.warmstart : at.warmstart + at.nv] = 0.0
 

@@ -33,6 +33,7 @@ from inclined_landing.models.attitude import (
     euler_angles,
     rotation_entries,
     sine_cosine,
+    to_world,
 )
 from inclined_landing.models.base.errors import UserError
 from inclined_landing.models.compiled import kernel
@@ -200,8 +201,8 @@ def _mean_forces(steps, ids, vehicles, perturbation, ambient, commands, masses, 
                 roll, pitch, yaw = euler_angles(q[3], q[4], q[5], q[6])
                 r = rotation_entries(sine_cosine(roll), sine_cosine(pitch), sine_cosine(yaw))
                 x, y, z, _, _ = forces.wrench(position, velocity, r, lag, pwm, ambient[i], v, p)
-                for j in range(3):
-                    force[j] -= 0.5 * (r[3 * j] * x + r[3 * j + 1] * y + r[3 * j + 2] * z)
+                x, y, z = to_world(r, x, y, z)
+                force[0], force[1], force[2] = force[0] - 0.5 * x, force[1] - 0.5 * y, force[2] - 0.5 * z
 
 
 @kernel

@@ -23,7 +23,7 @@ FOREIGN = {
     *"kalman_core.c estimator_complementary.c crtp_supervisor.c crtp_localization_service.c".split(),
     *"crtp_commander_generic.c supervisor_state_machine.c platform_defaults.h thrustLocked Commander".split(),
     *"CONFIG_ENABLE_THRUST_BAT_COMPENSATED send_setpoint _nr_of_retries clampctrl viscosity".split(),
-    *"release.yml vVERSION ADDRESS stock.toml a_b x_mm m4 -pitch mocap_attitude".split(),
+    *"release.yml vVERSION ADDRESS stock.toml a_b x_mm m4 -pitch".split(),
     *"ulog2csv blackbox_decode arm-none-eabi-size NormalizeObservation".split(),
     *"FrameStackObservation TimeAwareObservation".split(),
     *("trajectory_1", "trajectory_2", *(f"touched_{part}" for part in ("slab", "base", "floor"))),

@@ -27,9 +27,12 @@ def plant():
 def flight(plant):
     """A drop from 0.3 m over a platform that travels, heaves and tilts; it stays on it."""
     motion = Motion.still(1)
-    motion.velocity[0] = 0.4, 0.1, 0.0
+    motion.waves.velocity[0] = 0.4, 0.1, 0.0
     for mode, size, turn in (("heave", 0.1, 3.0), ("roll", 0.15, 2.0), ("pitch", 0.1, 4.0)):
-        motion.amplitude[0, MODES.index(mode)], motion.frequency[0, MODES.index(mode)] = size, turn
+        motion.waves.amplitude[0, MODES.index(mode)], motion.waves.frequency[0, MODES.index(mode)] = (
+            size,
+            turn,
+        )
     plant.set_platform([0], -0.3, azimuth=0.4)
     plant.set_motion([0], motion)
     start = np.zeros((1, 13))

@@ -87,8 +87,8 @@ def test_starts_are_clear_of_platforms_that_move_and_at_rest_in_the_room():
     start = TASK.sample(np.random.default_rng(0), 200)
     assert len(start.motion) == 200 and (start.state[:, VX : VZ + 1] == 0.0).all()
     assert (TASK.start_clearance(start) >= 0.05).all()
-    speed = np.linalg.norm(start.motion.velocity[:, :2], axis=1)
-    assert speed.max() <= 2.0 and speed.max() > 1.5 and (start.motion.velocity[:, 2] == 0.0).all()
+    speed = np.linalg.norm(start.motion.waves.velocity[:, :2], axis=1)
+    assert speed.max() <= 2.0 and speed.max() > 1.5 and (start.motion.waves.velocity[:, 2] == 0.0).all()
 
 
 def test_the_swell_keeps_within_what_it_says():
@@ -102,8 +102,10 @@ def test_the_swell_keeps_within_what_it_says():
     assert not any(array.any() for array in still)
     room = np.linspace(0.0, 0.3, 500)
     narrow = moving.draw(np.random.default_rng(1), 1.0, 1.0, room)
-    assert (moving.largest_tilt(narrow.amplitude) <= room + 1e-12).all()
-    np.testing.assert_array_equal(narrow.amplitude[:, 2], motion.amplitude[:, 2])  # heave is as it was
+    assert (moving.largest_tilt(narrow.waves.amplitude) <= room + 1e-12).all()
+    np.testing.assert_array_equal(
+        narrow.waves.amplitude[:, 2], motion.waves.amplitude[:, 2]
+    )  # heave is as it was
 
 
 def test_drawn_friction_holds_on_drawn_slopes():
@@ -118,7 +120,7 @@ def test_drawn_friction_holds_on_drawn_slopes():
     )
     task.conditions = TouchdownConditions(friction=FRICTION, steep=0.5)
     start = task.sample(np.random.default_rng(4), 400)
-    slope = np.abs(start.inclination) + moving.largest_tilt(start.motion.amplitude)
+    slope = np.abs(start.inclination) + moving.largest_tilt(start.motion.waves.amplitude)
     assert slope.max() <= math.radians(55) + 1e-9 and slope.max() > math.radians(50)
     assert (start.contact["friction"] >= 1.04 * np.tan(slope) - 1e-9).all()
     assert start.contact["friction"].min() < 0.7  # level platforms stay slippery

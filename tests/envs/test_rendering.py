@@ -128,7 +128,7 @@ def test_shadow_falls_where_the_light_says():
 def test_the_default_camera_sees_every_start(width, height):
     """All of the vehicle as it is drawn, above the caption: the frozen grid, random starts of all tasks."""
     with make_renderer(width, height, backend="ray") as renderer:
-        reach = renderer.scale * shapes_of(build_spec().compile()).reach
+        reach = renderer.scale * shapes_of(build_spec().compile()).reach[0]
         view = renderer.view(over(hovering()))
         corners = reach * np.array(np.meshgrid(*[[-1, 1]] * 3)).reshape(3, -1).T
         positions = [starts.grid()[:, [0, 0, 1]] * [1, 0, 1]]

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 import inclined_landing.envs  # noqa: F401, registers the environments
-from inclined_landing.eval.truth.equivalence.flying import full_steps, largest_gaps, start_states
+from inclined_landing.eval.truth.equivalence.flying import UNLIMITED, full_steps, largest_gaps, start_states
 from inclined_landing.eval.truth.equivalence.levels import FLIGHT_LIMITS
 from inclined_landing.models.attitude import LAG, ROLL, VX, VZ, WX, WZ, YAW, Z
 from inclined_landing.models.base.errors import UserError
@@ -31,8 +31,8 @@ COMMANDS = full_steps(V, N, np.random.default_rng(4))[:100]
 
 def plant_of(kind, n=N, vehicle=RESTLESS, **options):
     """High above everything."""
-    own = {"torque_limit": False} if kind == "mujoco" else {"attitude": "rate_loop", "substeps": 5}
-    plant = make_plant(kind, n, vehicle, **(own | options))
+    own = {} if kind == "mujoco" else {"attitude": "rate_loop", "substeps": 5}
+    plant = make_plant(kind, n, vehicle.changed(**UNLIMITED), **(own | options))
     plant.set_platform(np.arange(n), V.platform_inclination, False)
     plant.reset(np.arange(n), start_states(n))
     return plant

@@ -5,7 +5,7 @@ import math
 import numpy as np
 import pytest
 
-from inclined_landing.eval.truth.equivalence.flying import full_steps, largest_gaps
+from inclined_landing.eval.truth.equivalence.flying import UNLIMITED, full_steps, largest_gaps
 from inclined_landing.eval.truth.equivalence.levels import FLIGHT_LIMITS
 from inclined_landing.models import forces, load
 from inclined_landing.models.attitude import LAG, VX, VZ, X, Z
@@ -107,15 +107,15 @@ def test_both_plants_fly_it_alike():
     """Full commands for 3 s, from swings of all directions, motors and masses that differ, in moving air."""
     n, rng = 8, np.random.default_rng(2)
     vehicle = V.changed(
-        disturbance_acceleration=(0.5, 0.3, 0.4), disturbance_acceleration_time=(0.2, 0.3, 0.1)
+        disturbance_acceleration=(0.5, 0.3, 0.4), disturbance_acceleration_time=(0.2, 0.3, 0.1), **UNLIMITED
     )
     commands = full_steps(SHIPPED, n, np.random.default_rng(4))[:150]
     direction, rate = rng.normal(size=(n, 3)) - [0.0, 0.0, 2.0], rng.normal(size=(n, 3)) * 3.0
     flights = []
     for kind, options in (
         ("analytic", {"attitude": "rate_loop", "substeps": 5}),
-        ("mujoco", {"torque_limit": False}),
-        ("hybrid", {"torque_limit": False}),
+        ("mujoco", {}),
+        ("hybrid", {}),
     ):
         plant = aloft(kind, options | {"disturbance": 5}, vehicle, n)
         plant.perturb(mass_scale=np.linspace(0.8, 1.2, n), thrust_scale=np.linspace(1.1, 0.9, n))

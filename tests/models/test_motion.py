@@ -5,7 +5,7 @@ import pytest
 
 from inclined_landing.models.attitude import PITCH, ROLL, VX, VZ, YAW, Z, rotation
 from inclined_landing.models.base.errors import UserError
-from inclined_landing.models.motion import MODES, Motion, acceleration, rate
+from inclined_landing.models.motion import MODES, Motion
 from inclined_landing.models.surface import relative
 
 H = 1e-4  # s, of central differences
@@ -34,19 +34,10 @@ def test_rates_are_derivatives():
         np.testing.assert_allclose((after[order] - before[order]) / (2 * H), now[order + 1], atol=NEAR)
 
 
-def test_a_rate_or_an_acceleration_alone_is_that_of_all_three_to_the_bit():
-    motion, one = motions(8), np.empty(6)
-    _, rates, accelerations = motion.at(0.7)
-    for i in range(8):
-        for alone, wanted in ((rate, rates), (acceleration, accelerations)):
-            alone(i, 0.7, motion.arrays, one)
-            assert one.tolist() == wanted[i].tolist()
-
-
 def test_fewer_waves_than_there_were_leave_none_of_them():
     motion, given = motions(3, waves=3), motions(1, waves=2, seed=1)
     motion[[1]] = given
-    assert motion.amplitude.shape == (3, 6, 3) and not motion.amplitude[1, :, 2].any()
+    assert motion.waves.amplitude.shape == (3, 6, 3) and not motion.waves.amplitude[1, :, 2].any()
     np.testing.assert_array_equal(motion[[1]].at(0.4)[0], given.at(0.4)[0])
 
 
@@ -86,6 +77,6 @@ def test_selection_and_assignment_keep_each_platforms_motion():
     ],
 )
 def test_wrong_motions_are_refused(change):
-    parts = dict(zip(("velocity", "amplitude", "frequency", "phase"), Motion.still(2).arrays))
+    parts = Motion.still(2).waves._asdict()
     with pytest.raises(UserError, match=r"motion|platform"):
         Motion(**(parts | change))

@@ -400,9 +400,9 @@ def flown(kind, moving=False):
     plant.assign(np.arange(4), [0, 1, 2, 0])
     plant.set_platform(np.arange(4), V.platform_inclination + plant.tilt)
     if moving:
-        waves = Motion.still(4)
-        waves.amplitude[:], waves.frequency[:] = 0.02, 3.0
-        plant.set_motion(np.arange(4), waves)
+        motion = Motion.still(4)
+        motion.waves.amplitude[:], motion.waves.frequency[:] = 0.02, 3.0
+        plant.set_motion(np.arange(4), motion)
     plant.reset(np.arange(4), np.concatenate([on_slab(0.001), random_states(3)]))
     plant.perturb(mass_scale=1.1, thrust_scale=0.9)
     if kind != "analytic":

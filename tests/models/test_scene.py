@@ -110,12 +110,12 @@ def test_everything_at_a_motor_stands_where_the_vehicle_file_has_it(arm, share, 
     for board in ("arm_a", "arm_b"):  # its ends are under the mounts
         assert model.geom(board).size[0] == pytest.approx(math.sqrt(2) * arm, rel=0.02)
     shapes = geometry.shapes_of(model)  # what the analytic plant and the start filters see
-    feet = shapes.centres[shapes.parts == geometry.PARTS.index("feet")]
+    feet = shapes.centres[0, shapes.parts == geometry.PARTS.index("feet")]
     close(np.abs(feet[:, :2]), np.full((4, 2), arm))
     rotors = shapes.parts == geometry.PARTS.index("rotors")
-    rims = np.abs(shapes.centres[rotors]) + shapes.radii[rotors, None]
+    rims = np.abs(shapes.centres[0, rotors]) + shapes.radii[0, rotors, None]
     close(rims[:, :2].max(), arm + radius)
-    close(shapes.centres[rotors, 2], height)
+    close(shapes.centres[0, rotors, 2], height)
 
 
 def test_rotors_below_the_feet_are_refused():

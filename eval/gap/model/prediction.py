@@ -21,7 +21,7 @@ import numpy as np
 from inclined_landing.eval.gap.measured.windows import REQUEST_SIGNS, RotorAttitude
 from inclined_landing.eval.gap.model.swing import Starts, pulled
 from inclined_landing.models import plugins
-from inclined_landing.models.attitude import PWM, ROLL_COMMAND, YAW_RATE_COMMAND, entries, tilted
+from inclined_landing.models.attitude import PWM, ROLL_COMMAND, YAW_RATE_COMMAND, entries, tilted, to_world
 from inclined_landing.models.attitude_loops import angle_steps, integrated_steps, yaw_steps
 from inclined_landing.models.compiled import inlined, unlocked
 from inclined_landing.models.delays import averages
@@ -349,9 +349,8 @@ def _accelerations(measured, v, near, pwm, lag, twist):
         fx, fy, fz, tx, ty = wrench_near(
             near[k], velocity[k], r, lag[k], pwm[k], ambient[k], v, _NO_PERTURBATION
         )
-        out[k, 0] = (r[0] * fx + r[1] * fy + r[2] * fz) / v.body.mass
-        out[k, 1] = (r[3] * fx + r[4] * fy + r[5] * fz) / v.body.mass
-        out[k, 2] = (r[6] * fx + r[7] * fy + r[8] * fz) / v.body.mass
+        fx, fy, fz = to_world(r, fx, fy, fz)
+        out[k, 0], out[k, 1], out[k, 2] = fx / v.body.mass, fy / v.body.mass, fz / v.body.mass
         about_x, about_y = tx / v.body.inertia[0], ty / v.body.inertia[1]
         twist[k, 0] = measured.attitude.rates_about_x[k, 0] * about_x
         twist[k, 1] = measured.attitude.rates_about_x[k, 1] * about_x + about_y

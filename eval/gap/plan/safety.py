@@ -186,7 +186,7 @@ def clearance(position: np.ndarray, attitude: np.ndarray, space: Space) -> np.nd
     above = (position - [0.0, 0.0, v.platform_surface_height]) @ normal
     above = above - reach_below(space.shapes, np.einsum("...ij,i->...j", rotation, normal))
     beside = np.abs(position[..., :2]) - 0.5 * np.array([v.platform_width, v.platform_depth])
-    return np.minimum(floor, np.maximum(above, beside.max(axis=-1) - space.shapes.reach))
+    return np.minimum(floor, np.maximum(above, beside.max(axis=-1) - space.shapes.reach[0]))
 
 
 def _first(*checks: tuple[str, np.ndarray], step: float = 1.0 / RATE) -> Violation | None:

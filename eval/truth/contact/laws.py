@@ -298,7 +298,7 @@ def fall_at(
         point = normal * vehicle.slab_half_length * np.cos(slope)[:, None] + [0.0, 0.0, 0.4]
     rising = normal * speed[:, None] * (0.5 if onto == "moving slab" else 0.0)
     if rising.any():
-        plant.set_motion(ids, dataclasses.replace(Motion.still(n), velocity=rising))
+        plant.set_motion(ids, Motion(*Motion.still(n).waves._replace(velocity=rising)))
     state = np.zeros((n, STATE_SIZE))
     state[:, ROLL : YAW + 1] = rng.uniform(-1, 1, (n, 3)) * [np.pi, 1.5, np.pi]
     state[:, WX : WZ + 1] = rng.normal(0, 5, (n, 3))

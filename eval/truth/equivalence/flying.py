@@ -29,12 +29,17 @@ STEPS = 300  # control steps of 0.02 s
 FAMILIES = ("full steps", "smooth", "recorded")
 HEIGHT = 500.0  # m; full thrust up or none at all moves 6 s x up to 60 m/s
 FINE = 20  # RK4 steps in a control period, 1 ms each: the equations solved to 1e-8 m
+UNLIMITED = {
+    "attitude_torque_limit": 100.0,
+    "attitude_yaw_torque_limit": 100.0,
+}  # N m, largest of their ranges
 MODES: dict[Attitude, str] = {"kinematic": "kinematic", "rate_loop": "rate loop"}  # of attitude, in words
 
 
 def engine(n: int, attitude: Attitude, vehicle: Vehicle | None = None, **options) -> MujocoPlant:
-    """Return the MuJoCo vehicle without torque limit and contacts, which the equations do not have."""
-    return MujocoPlant(n, vehicle, attitude=attitude, contacts=False, **({"torque_limit": False} | options))
+    """Return the MuJoCo vehicle without torque limits and contacts, which the equations do not have."""
+    unlimited = (vehicle or load_vehicle()).changed(**UNLIMITED)
+    return MujocoPlant(n, unlimited, attitude=attitude, contacts=False, **options)
 
 
 def equations(

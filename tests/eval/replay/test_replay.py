@@ -142,7 +142,7 @@ def test_geometry_is_the_vehicle_files():
     vehicle = dataclasses.replace(V, rotor_arm=0.05, platform_depth=0.7, arena_x=(-2.0, 2.0))
     drawn = scene(vehicle, -0.3)
     shapes = shapes_of(build_spec(vehicle).compile())
-    feet = shapes.centres[shapes.parts == PARTS.index("feet")]
+    feet = shapes.centres[0, shapes.parts == PARTS.index("feet")]
     np.testing.assert_allclose([foot["position"] for foot in drawn["feet"]], feet, atol=1e-6)
     slab = next(geom for geom in drawn["world"] if geom["name"] == "slab_drawn")
     assert slab["size"][1] == pytest.approx(0.35) == drawn["platform"]["half"][1]

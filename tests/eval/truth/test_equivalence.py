@@ -106,13 +106,13 @@ def test_the_torque_limit_leaves_one_axis_alone(flights):
     commands, starts = flying.side_by_side(V, [s for s in flights if s.planar])
     n = commands.shape[1]
     free = flying.fly(flying.engine(n, "rate_loop"), commands, starts)
-    limited = flying.fly(flying.engine(n, "rate_loop", torque_limit=True), commands, starts)
+    limited = flying.fly(flying.MujocoPlant(n, contacts=False), commands, starts)
     np.testing.assert_array_equal(free, limited)
 
 
 def test_the_search_for_contacts_changes_no_bit_in_the_air(steps):
     commands, starts = flying.side_by_side(V, [steps])
-    searched = flying.fly(flying.MujocoPlant(4, torque_limit=False), commands, starts)
+    searched = flying.fly(flying.MujocoPlant(4, V.changed(**flying.UNLIMITED)), commands, starts)
     np.testing.assert_array_equal(flying.fly(flying.engine(4, "rate_loop"), commands, starts), searched)
 
 
