@@ -23,7 +23,6 @@ import numpy as np
 
 from inclined_landing.models.attitude import PITCH_COMMAND, ROLL, ROLL_COMMAND, YAW_RATE_COMMAND
 from inclined_landing.models.compiled import inlined, inner, kernel, unlocked
-from inclined_landing.models.perturbation import GAIN_SCALE, TIME_CONSTANT_SCALE
 
 
 @inlined
@@ -42,10 +41,10 @@ def estimated_angles(roll, pitch, yaw, vx, vy, vz, v):
 
 
 @inlined
-def angle_errors(roll, pitch, u, v, p):
+def angle_errors(roll, pitch, u, v):
     """Return the errors [rad] of roll and pitch of the onboard estimate under a command u (4,)."""
     # k (phi_c + trim) - phi_e, theta alike
-    gain = v.attitude.gain * p[GAIN_SCALE]
+    gain = v.attitude.gain
     return (
         gain * (u[ROLL_COMMAND] + v.effects.attitude_trim[0]) - roll,
         gain * (u[PITCH_COMMAND] + v.effects.attitude_trim[1]) - pitch,
@@ -53,14 +52,14 @@ def angle_errors(roll, pitch, u, v, p):
 
 
 @inlined
-def loop_rates(angles, errors, integrals, u, v, p):
+def loop_rates(angles, errors, integrals, u, v):
     """Return the Euler rates [rad/s] that the paper's first-order loops command without saturation.
 
     angles: roll and pitch of the onboard estimate; errors: see `angle_errors`; integrals: their integrals
     over time [rad s]; u: command (4,).
     """
     # dphi/dt = (error + integral I)/tau + hold (I/tau - phi), theta alike; dpsi/dt = k_psi r_c + drift
-    tau, hold = v.attitude.time_constant * p[TIME_CONSTANT_SCALE], v.effects.attitude_hold
+    tau, hold = v.attitude.time_constant, v.effects.attitude_hold
     integral = v.effects.attitude_integral + hold
     return (
         (errors[0] + integral * integrals[0]) / tau - hold * angles[0],

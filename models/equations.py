@@ -45,7 +45,6 @@ from inclined_landing.models.attitude_loops import (
 from inclined_landing.models.compiled import inlined, inner, kernel
 from inclined_landing.models.forces import AMBIENT_SIZE, TIME, free_air, lag_derivative, pack, wrench
 from inclined_landing.models.load import LOAD_SIZE, UNLOADED, hanging, pull, rectify, swing
-from inclined_landing.models.perturbation import MASS_SCALE, NEUTRAL, TIME_CONSTANT_SCALE
 from inclined_landing.models.vehicle import Vehicle
 
 # The integrated vector: position, velocity, Euler angles, lag, Euler rates (rate loop only), where there are
@@ -61,7 +60,7 @@ class Conditions(NamedTuple):
     """The conditions under which n vehicles fly."""
 
     vehicle: np.ndarray  # from `pack`: (1,) for all, or (n,) with a record for each
-    perturbation: np.ndarray  # (n, 7), see `perturbation.py`
+    thrust_scale: np.ndarray  # (n,) factor on the total thrust
     ambient: np.ndarray  # (n, AMBIENT_SIZE); `advance` moves the time on
     push: np.ndarray = STILL  # (n, 6) further acceleration [m/s2], torque [N m] in the world's axes; or STILL
     load: np.ndarray = (
@@ -79,7 +78,7 @@ _STEP = np.dtype(
         ("command", float, 4),
         ("ambient", float, AMBIENT_SIZE),
         ("push", float, 6),  # further acceleration [m/s2] and torque [N m] in the world's axes
-        ("perturbation", float, 7),
+        ("thrust_scale", float),  # factor on the total thrust
         ("torque_limits", float, 3),  # N m about the body's axes, of the rate loops
         ("pushed", bool),  # whether there is a push
         ("limited", bool),  # whether the torques are limited
@@ -133,13 +132,13 @@ def _swing(y, dy, mass, v):
 @inner
 def _derivative(y, s, v):
     """Write dy/dt of an integrated vector y (21,) into `s.derivative`; s: a STEP, v: the vehicle's record."""
-    u, p, push, dy = s.command, s.perturbation, s.push, s.derivative
+    u, push, dy = s.command, s.push, s.derivative
     roll_turn, pitch_turn, yaw_turn = sine_cosine(y[_PHI]), sine_cosine(y[_THETA]), sine_cosine(y[_PSI])
     r = rotation_entries(roll_turn, pitch_turn, yaw_turn)
     velocity = y[VX], y[VX + 1], y[VZ]
-    fx, fy, fz, tx, ty = wrench(y, velocity, r, y[OMEGA], u[PWM], s.ambient, v, p)
+    fx, fy, fz, tx, ty = wrench(y, velocity, r, y[OMEGA], u[PWM], s.ambient, s.thrust_scale, v)
     # dx/dt = v, dv/dt = R f/m + push - (0, 0, g)
-    mass = v.body.mass * p[MASS_SCALE]
+    mass = v.body.mass
     dy[0], dy[1], dy[2] = y[VX], y[VX + 1], y[VZ]
     fx, fy, fz = to_world(r, fx, fy, fz)
     dy[VX], dy[VX + 1], dy[VZ] = fx / mass, fy / mass, fz / mass
@@ -148,15 +147,15 @@ def _derivative(y, s, v):
     if s.loaded:
         _swing(y, dy, mass, v)
     dy[VZ] -= v.environment.gravity
-    dy[OMEGA] = lag_derivative(y[OMEGA], u[PWM], v, p)
+    dy[OMEGA] = lag_derivative(y[OMEGA], u[PWM], v)
     angles = estimated_angles(y[_PHI], y[_THETA], y[_PSI], y[VX], y[VX + 1], y[VZ], v)
-    errors, integrals = angle_errors(angles[0], angles[1], u, v, p), (y[_INTEGRAL], y[_INTEGRAL + 1])
-    wanted = loop_rates(angles, errors, integrals, u, v, p)
+    errors, integrals = angle_errors(angles[0], angles[1], u, v), (y[_INTEGRAL], y[_INTEGRAL + 1])
+    wanted = loop_rates(angles, errors, integrals, u, v)
     for k in range(2):
         dy[_INTEGRAL + k] = integral_rate(integrals[k], errors[k], v) if s.integrated else 0.0
     if s.rate_loop:
         phid, thetad, psid = y[RATES], y[RATES + 1], y[RATES + 2]
-        tau = v.attitude.time_constant * p[TIME_CONSTANT_SCALE]
+        tau = v.attitude.time_constant
         dy[_PHI], dy[_THETA], dy[_PSI] = phid, thetad, psid
         dy[RATES] = rate_loop_acceleration(wanted[0], phid, dy[_INTEGRAL], tau, v)
         dy[RATES + 1] = rate_loop_acceleration(wanted[1], thetad, dy[_INTEGRAL + 1], tau, v)
@@ -233,10 +232,9 @@ def rk4(s, v, dt):
 
 
 @inlined
-def disturb(s, perturbation, push, i):
-    """Write the rows of vehicle i of perturbation (n, 7) and push (n, 6), or STILL, into a STEP."""
-    for k in range(7):
-        s.perturbation[k] = perturbation[i, k]
+def disturb(s, thrust_scale, push, i):
+    """Write the rows of vehicle i of thrust_scale (n,) and push (n, 6), or STILL, into a STEP."""
+    s.thrust_scale = thrust_scale[i]
     s.pushed = len(push) > 0
     for k in range(6 if s.pushed else 0):
         s.push[k] = push[i, k]
@@ -274,7 +272,7 @@ def _begin(s, state, commands, conditions, i, rate_loop, v):
         s.command[k] = commands[i, k]
     for k in range(AMBIENT_SIZE):
         s.ambient[k] = conditions.ambient[i, k]
-    disturb(s, conditions.perturbation, conditions.push, i)
+    disturb(s, conditions.thrust_scale, conditions.push, i)
     s.rate_loop, s.limited = rate_loop, False
 
 
@@ -295,9 +293,9 @@ def advance(state, commands, conditions, rate_loop, dt, substeps):
         y = s.y
         if not rate_loop:
             angles = estimated_angles(y[_PHI], y[_THETA], y[_PSI], y[VX], y[VX + 1], y[VZ], v)
-            errors = angle_errors(angles[0], angles[1], s.command, v, s.perturbation)
+            errors = angle_errors(angles[0], angles[1], s.command, v)
             integrals = y[_INTEGRAL], y[_INTEGRAL + 1]
-            rates = loop_rates(angles, errors, integrals, s.command, v, s.perturbation)
+            rates = loop_rates(angles, errors, integrals, s.command, v)
             y[RATES], y[RATES + 1], y[RATES + 2] = saturated(rates, v)
         unpack_state(y, state, i)
         give_states(s, conditions.load, conditions.integral, i)
@@ -306,8 +304,8 @@ def advance(state, commands, conditions, rate_loop, dt, substeps):
 
 @functools.lru_cache(maxsize=8)
 def _alone(vehicle: Vehicle) -> Conditions:
-    """Return the conditions of one vehicle in still air, without perturbation."""
-    return Conditions(pack(vehicle), np.array([NEUTRAL]), free_air(1), load=hanging(1))
+    """Return the conditions of one vehicle in still air."""
+    return Conditions(pack(vehicle), np.ones(1), free_air(1), load=hanging(1))
 
 
 @kernel

@@ -21,13 +21,6 @@ from inclined_landing.models.attitude import to_body
 from inclined_landing.models.base.errors import UserError
 from inclined_landing.models.compiled import inlined, inner, unlocked
 from inclined_landing.models.parameters import load_vehicle
-from inclined_landing.models.perturbation import (
-    DRAG_CHANGE,
-    LAG_SCALE,
-    NEUTRAL,
-    THRUST_BIAS,
-    THRUST_SCALE,
-)
 from inclined_landing.models.vehicle import Vehicle
 
 # Columns of a vehicle's ambient conditions: time [s], battery voltage [V] (NaN: that of the vehicle file),
@@ -114,17 +107,17 @@ def rotor_speed_sum(thrust, v):
 
 
 @inlined
-def total_thrust(lag, pwm, v, p):
-    """Return the total thrust F_t [N] at a lag state [PWM s] and a PWM command."""
-    # F_t = scale (c_Omega Omega + c_PWM PWM) + bias
-    return p[THRUST_SCALE] * (v.thrust.state_gain * lag + v.thrust.direct_gain * pwm) + p[THRUST_BIAS]
+def total_thrust(lag, pwm, scale, v):
+    """Return the total thrust F_t [N], times a scale, at a lag state [PWM s] and a PWM command."""
+    # F_t = scale (c_Omega Omega + c_PWM PWM)
+    return scale * (v.thrust.state_gain * lag + v.thrust.direct_gain * pwm)
 
 
 @inlined
-def lag_derivative(lag, pwm, v, p):
+def lag_derivative(lag, pwm, v):
     """Return dOmega/dt [PWM] of the thrust lag; slower while it spins down, with that effect."""
-    # dOmega/dt = (PWM - lambda Omega)/scale, over 1 + spin_down where that is negative
-    rate = (pwm - v.thrust.lag_rate * lag) / p[LAG_SCALE]
+    # dOmega/dt = PWM - lambda Omega, over 1 + spin_down where that is negative
+    rate = pwm - v.thrust.lag_rate * lag
     if v.effects.spin_down != 0.0 and rate < 0.0:
         rate /= 1.0 + v.effects.spin_down
     return rate
@@ -195,10 +188,10 @@ def intact(v):
     return 1.0 - 0.25 * (loss[0] + loss[1] + loss[2] + loss[3])
 
 
-def _steady_thrust(pwm, v, p):
+def _steady_thrust(pwm, v):
     """Return the thrust [N] under a PWM held for long, at time 0."""
     lag = pwm / v.thrust.lag_rate
-    return powered_thrust(total_thrust(lag, pwm, v, p), lag, 0.0, math.nan, v) * intact(v)
+    return powered_thrust(total_thrust(lag, pwm, 1.0, v), lag, 0.0, math.nan, v) * intact(v)
 
 
 def settled_hover(vehicle: Vehicle) -> float:
@@ -213,11 +206,11 @@ def settled_hover(vehicle: Vehicle) -> float:
     v, pwm = _tables(vehicle), vehicle.hover_pwm
     low, high = 0.0, max(pwm, vehicle.command_pwm_range[1])
     weight = (v.body.mass + v.effects.load_mass) * v.environment.gravity
-    if _steady_thrust(pwm, v, NEUTRAL) == total_thrust(pwm / v.thrust.lag_rate, pwm, v, NEUTRAL):
+    if _steady_thrust(pwm, v) == total_thrust(pwm / v.thrust.lag_rate, pwm, 1.0, v):
         return pwm
     for _ in range(60):  # halves: to 1e-13 of what lies between
         pwm = 0.5 * (low + high)
-        if _steady_thrust(pwm, v, NEUTRAL) < weight:
+        if _steady_thrust(pwm, v) < weight:
             low = pwm
         else:
             high = pwm
@@ -303,13 +296,13 @@ def ground_effect(position, r, thrust, inclination, present, azimuth, v):
 
 
 @inlined
-def rotors(lag, pwm, time, voltage, v, p):
+def rotors(lag, pwm, time, voltage, scale, v):
     """Return the thrust [N] of intact rotors at rest in the air, and the rotor speed sum for the drag.
 
-    lag state, PWM, flight time [s], battery voltage [V], vehicle v and perturbation p (7,).
+    lag state, PWM, flight time [s], battery voltage [V], scale of the total thrust, vehicle v.
     """
-    thrust = powered_thrust(total_thrust(lag, pwm, v, p), lag, time, voltage, v)
-    return thrust, rotor_speed_sum(thrust, v) * (1.0 + p[DRAG_CHANGE])
+    thrust = powered_thrust(total_thrust(lag, pwm, scale, v), lag, time, voltage, v)
+    return thrust, rotor_speed_sum(thrust, v)
 
 
 @inlined
@@ -325,25 +318,25 @@ def in_the_air(thrust, speed, bx, by, bz, v):
 
 
 @inlined
-def wrench(position, velocity, r, lag, pwm, ambient, v, p):
+def wrench(position, velocity, r, lag, pwm, ambient, scale, v):
     """Return force x, y, z [N] and torque x, y [N m] in the body frame, without gravity.
 
     position, velocity (3,) in the world, attitude matrix r as nine entries, lag state and PWM, ambient
-    (AMBIENT_SIZE,), vehicle v and perturbation p (7,).
+    (AMBIENT_SIZE,), scale of the total thrust, vehicle v.
     """
     near = 0.0, 0.0, 0.0
     if v.effects.ground_effect != 0.0:
         near = ground_effect(position, r, 1.0, ambient[INCLINATION], ambient[PRESENT], ambient[AZIMUTH], v)
-    return wrench_near(near, velocity, r, lag, pwm, ambient, v, p)
+    return wrench_near(near, velocity, r, lag, pwm, ambient, scale, v)
 
 
 @inlined
-def wrench_near(near, velocity, r, lag, pwm, ambient, v, p):
+def wrench_near(near, velocity, r, lag, pwm, ambient, scale, v):
     """Return force and torque as `wrench`.
 
     near (3,): the ground effect's extra thrust [N] and torques [N m] at a thrust of 1 N.
     """
-    thrust, speed = rotors(lag, pwm, ambient[TIME], ambient[VOLTAGE], v, p)
+    thrust, speed = rotors(lag, pwm, ambient[TIME], ambient[VOLTAGE], scale, v)
     ax, ay, az = velocity[0] - v.effects.wind[0], velocity[1] - v.effects.wind[1], velocity[2]
     bx, by, bz = to_body(r, ax, ay, az)
     fx, fy, fz, thrust = in_the_air(thrust, speed, bx, by, bz, v)

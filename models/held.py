@@ -44,7 +44,6 @@ from inclined_landing.models.forces import (
     neutral,
     rotors,
 )
-from inclined_landing.models.perturbation import GAIN_SCALE, LAG_SCALE, MASS_SCALE, TIME_CONSTANT_SCALE
 
 _STEP = 0.6
 # The share of the torque limits that torques may reach. They are checked twice in a step; in between, the
@@ -158,8 +157,8 @@ def fly(s, v, period, largest_angle, largest_rate):
     Returns whether it was advanced. It is left unchanged if a torque comes near its limit, if roll or pitch
     exceeds `largest_angle` [rad], or if the rate of an angle exceeds `largest_rate` [rad/s].
     """
-    y, u, p, pwm = s.y, s.command, s.perturbation, s.command[PWM]
-    tau, gain = v.attitude.time_constant * p[TIME_CONSTANT_SCALE], v.attitude.gain * p[GAIN_SCALE]
+    y, u, scale, pwm = s.y, s.command, s.thrust_scale, s.command[PWM]
+    tau, gain = v.attitude.time_constant, v.attitude.gain
     damping, bandwidth = damping_rate(tau, v), v.attitude.yaw_bandwidth
     steps = math.ceil(period * max(damping, bandwidth, largest_rate) / _STEP)
     dt = period / steps
@@ -171,7 +170,7 @@ def fly(s, v, period, largest_angle, largest_rate):
         v.attitude.yaw_gain * u[YAW_RATE_COMMAND] + v.effects.yaw_drift,
     )
     steady, yaw_kept = pwm / v.thrust.lag_rate, math.exp(-bandwidth * h)
-    lag_kept = math.exp(-lag_pole(y[OMEGA], pwm, v) / p[LAG_SCALE] * h)
+    lag_kept = math.exp(-lag_pole(y[OMEGA], pwm, v) * h)
     held = held_step(tau, h, v), rests[2], yaw_kept, (1.0 - yaw_kept) / bandwidth, h, lag_kept
     tx, ty, tz = s.torque_limits[0], s.torque_limits[1], s.torque_limits[2]
     limits = _UNLIMITED * tx, _UNLIMITED * ty, _UNLIMITED * tz, largest_angle, largest_rate
@@ -180,14 +179,14 @@ def fly(s, v, period, largest_angle, largest_rate):
     turns = sine_cosine(y[ROLL]), sine_cosine(y[PITCH]), sine_cosine(y[YAW])
     if not _allowed(now, turns, rests, poles, limits, v):
         return False
-    lightness, time, voltage = 1.0 / (v.body.mass * p[MASS_SCALE]), s.ambient[TIME], s.ambient[VOLTAGE]
-    thrust, speed = rotors(now[6] + steady, pwm, time, voltage, v, p)
+    lightness, time, voltage = 1.0 / v.body.mass, s.ambient[TIME], s.ambient[VOLTAGE]
+    thrust, speed = rotors(now[6] + steady, pwm, time, voltage, scale, v)
     px, py, pz, vx, vy, vz = y[X], y[Y], y[Z], y[VX], y[VY], y[VZ]
     for _ in range(steps):
         # k1 = f(0, v), k2 = f(dt/2, v + dt/2 k1), k3 = f(dt, v + dt (2 k2 - k1))
         ax, ay, az = _acceleration(vx, vy, vz, turns, thrust, speed, s, v, lightness)
         now, turns = _half_step(now, turns, held)
-        thrust, speed = rotors(now[6] + steady, pwm, time + h, voltage, v, p)
+        thrust, speed = rotors(now[6] + steady, pwm, time + h, voltage, scale, v)
         bx, by, bz = _acceleration(
             vx + h * ax, vy + h * ay, vz + h * az, turns, thrust, speed, s, v, lightness
         )
@@ -195,7 +194,7 @@ def fly(s, v, period, largest_angle, largest_rate):
         if not _allowed(now, turns, rests, poles, limits, v):
             return False
         time += dt
-        thrust, speed = rotors(now[6] + steady, pwm, time, voltage, v, p)
+        thrust, speed = rotors(now[6] + steady, pwm, time, voltage, scale, v)
         wx, wy, wz = vx + dt * (2.0 * bx - ax), vy + dt * (2.0 * by - ay), vz + dt * (2.0 * bz - az)
         cx, cy, cz = _acceleration(wx, wy, wz, turns, thrust, speed, s, v, lightness)
         # x <- x + dt v + dt^2/6 (k1 + 2 k2), v <- v + dt/6 (k1 + 4 k2 + k3)

@@ -161,7 +161,7 @@ class VariantChoice:
         if self.pool:
             plant.assign(np.arange(plant.n), self.choice)
         if (self.thrust_scale != 1.0).any():
-            plant.perturb(thrust_scale=self.thrust_scale)
+            plant.set_thrust_scale(self.thrust_scale)
         return plant
 
 

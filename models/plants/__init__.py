@@ -8,7 +8,7 @@ unless another is given), and provides
 - `measurement` (n, 13): the state as motion capture reports it, late if the vehicle has that delay;
 - `contacts`: which surfaces the vehicles' parts touched during the last control step;
 - `reset(ids, state)`: full state, lag included; `save()` / `restore()`: everything that a replay needs;
-- `set_platform(ids, inclination, present, azimuth)` and `perturb(**changes)`, per vehicle, no recompiling.
+- `set_platform(ids, inclination, present, azimuth)` and `set_thrust_scale(scale)`, per vehicle.
 
 With `pool=VEHICLES`, individual vehicles can differ from the plant's own: `assign(ids, choice)` selects them,
 and they fly bit for bit as in a plant of their own.

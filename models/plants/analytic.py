@@ -52,7 +52,7 @@ class AnalyticPlant(Plant):
         self._ambient[:, forces.INCLINATION], self._ambient[:, forces.PRESENT] = self.inclination, True
         push = equations.STILL if self.disturbance is None else self.disturbance.held
         self._conditions = equations.Conditions(
-            self._constants, self.perturbation, self._ambient, push, self.load, self.integral
+            self._constants, self.thrust_scale, self._ambient, push, self.load, self.integral
         )
         self.reset(np.arange(n), self.state)
 

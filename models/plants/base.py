@@ -1,4 +1,4 @@
-"""The parts that the plants share: options, contacts, perturbations, snapshots."""
+"""The parts that the plants share: options, contacts, scale of the thrust, snapshots."""
 
 from __future__ import annotations
 
@@ -8,7 +8,7 @@ from typing import Annotated, Literal
 import numpy as np
 from msgspec import Meta
 
-from inclined_landing.models import forces, geometry, perturbation
+from inclined_landing.models import forces, geometry
 from inclined_landing.models.attitude import PITCH, STATE_SIZE, WZ, YAW, Z
 from inclined_landing.models.attitude_loops import write_resting_integrals
 from inclined_landing.models.base import schema
@@ -47,7 +47,7 @@ def sizes_differ(vehicles: Sequence[Vehicle]) -> bool:
 
 
 class Plant:
-    """The base of all plants: platform poses, perturbations, disturbance of the air, snapshots.
+    """The base of all plants: platform poses, scale of the thrust, disturbance of the air, snapshots.
 
     pool: vehicles that `assign` can select instead of the plant's own vehicle, which all are initially. They
     share its platform and commands; their rotors and arms may differ.
@@ -99,7 +99,7 @@ class Plant:
         self.present = np.ones(n, bool)
         self.integral = np.zeros((n, 2))
         self.load = hanging(n) if any(v.effects_load_mass > 0.0 for v in self._vehicles) else UNLOADED
-        self.perturbation = perturbation.neutral(n)
+        self.thrust_scale = np.ones(n)  # factor on the total thrust, see `set_thrust_scale`
         self._everyone, self._alike = np.arange(n), np.zeros(n, int)
         # The vehicle whose constants each one has: 0 is the plant's, k the k-th of the pool.
         self.choice = np.zeros(n, int)
@@ -122,7 +122,7 @@ class Plant:
             "force": c.force,
             "platform": self.platform,
             "present": self.present,
-            "perturbation": self.perturbation,
+            "thrust_scale": self.thrust_scale,
             "integral": self.integral,
             **({"choice": self.choice} if self.pool else {}),
             **({"load": self.load} if len(self.load) else {}),
@@ -170,7 +170,7 @@ class Plant:
             if not ((self.choice >= 0) & (self.choice <= len(self.pool))).all():
                 raise UserError("the snapshot belongs to a plant with a different pool of vehicles")
             self._apply_choice(self._everyone)
-        self._apply_perturbation()
+        self._apply_thrust_scale()
 
     def _make_room(self, arrays: dict[str, np.ndarray]) -> None:
         """Hook for plants with arrays whose shapes may change."""
@@ -258,13 +258,18 @@ class Plant:
         where = self.platform[ids], self.present[ids], self.vehicle, self.shapes
         return geometry.platform_clearances(state, *where, self.size[ids])
 
-    def perturb(self, **changes) -> None:
-        """Set named deviations (see `perturbation.NAMES`) to a number or an (n,) array."""
-        self.perturbation[:] = perturbation.perturb(self.perturbation, **changes)
-        self._apply_perturbation()
+    def set_thrust_scale(self, scale) -> None:
+        """Multiply the total thrust of the vehicles by `scale`, (n,) or one for all.
 
-    def _apply_perturbation(self) -> None:
-        """Hook for plants that also store the perturbation elsewhere."""
+        Raises UserError for a scale that is not finite.
+        """
+        if not np.isfinite(scale).all():
+            raise UserError("the scale of the thrust must be finite")
+        self.thrust_scale[:] = scale
+        self._apply_thrust_scale()
+
+    def _apply_thrust_scale(self) -> None:
+        """Hook for plants that also store the scale of the thrust elsewhere."""
 
     def _begin(self, ids: np.ndarray, state: np.ndarray) -> None:
         """Begin a new episode of the vehicles `ids` at `state` (k, 13): the part common to all plants."""

@@ -21,7 +21,7 @@ the engine when the engine flies the vehicle or the plant is saved.
 
 The equations fly only attitudes and rates for which they are as accurate as the engine: roll and pitch away
 from the Euler angles' singularity at 90 deg, and rotations of less than `_TURN` in a time step. They contain
-torque limits, clamped commands, motors that are off, perturbations, disturbance and all effects; delayed
+torque limits, clamped commands, motors that are off, scaled thrust, disturbance and all effects; delayed
 commands are written to the engine's history in the engine's format. The engine flies vehicles with kinematic
 attitude, the mode for exact comparison, and while its steps are recorded (`advance(record=...)`). It also
 flies vehicles over platforms that can move if their forces may depend on the platform's position, as the
@@ -87,7 +87,7 @@ class _Vehicles(NamedTuple):
     """The n vehicles of a plant."""
 
     constants: np.ndarray  # (n,) or (1,) from `forces.pack`
-    perturbation: np.ndarray  # (n, 7)
+    thrust_scale: np.ndarray  # (n,)
     size: np.ndarray  # (n,) index in `shapes`
     shapes: geometry.Shapes
     contact: np.ndarray  # (n, 4), the last the feet's reach below the centre of mass [m]
@@ -149,7 +149,7 @@ class HybridPlant(MujocoPlant):
         self._results = _Results(self.state, c.near, c.touch, c.force, self.load, self.in_engine)
         self._kernel_vehicles = _Vehicles(
             constants=self._constants,
-            perturbation=self.perturbation,
+            thrust_scale=self.thrust_scale,
             size=self.size,
             shapes=self.shapes,
             contact=self._contact,
@@ -237,7 +237,7 @@ def _fly(ids, first, last, numbers, period, vehicles, platforms, engine, results
         s = steps[0]
         y, u, ambient = s.y, s.command, s.ambient
         s.rate_loop = s.limited = True
-        equations.disturb(s, vehicles.perturbation, period.push, i)
+        equations.disturb(s, vehicles.thrust_scale, period.push, i)
         for k in range(3):
             s.torque_limits[k] = v.attitude.yaw_torque_limit if k == 2 else v.attitude.torque_limit
             if period.torque_needs_motors and not flown[at.ctrl + PWM] > 0.0:

@@ -12,7 +12,7 @@ import mujoco.batch
 import numpy as np
 from msgspec import Meta
 
-from inclined_landing.models import attitude_loops, contact, equations, geometry, perturbation
+from inclined_landing.models import attitude_loops, contact, equations, geometry
 from inclined_landing.models.attitude import (
     COMMAND_SIZE,
     LAG,
@@ -118,7 +118,7 @@ class MujocoPlant(Plant):
         self._history_of = held_histories(self.model) if self.model.nhistory else None
         self._seen = np.zeros((n, self.substeps, self.model.nsensordata))
         self.contact_sensors = contact_sensors(self.model)
-        self._perturbed = self._contact_set = False
+        self._contact_set = False
         self.torque_needs_motors = torque_needs_motors
         self._loops = np.array([self.model.actuator(name).id for name in ("roll", "pitch", "yaw_rate")])
         self.foot_height = float(geometry.reach_below(self.shapes, part="feet"))
@@ -178,8 +178,6 @@ class MujocoPlant(Plant):
         self._contact[ids] = self._contact_of_each[choice]
         if self._contact_set:
             self._apply_contact()
-        if self._perturbed:
-            self._apply_perturbation()
 
     def _apply_choice(self, ids: np.ndarray) -> None:
         super()._apply_choice(ids)
@@ -370,7 +368,7 @@ class MujocoPlant(Plant):
         kept = np.ones(self.n, bool)
         kept[ids] = self.contacts.touch[ids].any(axis=(1, 2))
         rows = self.batch.state, self._columns
-        _synchronise_rates(*rows, self.acting_commands()[0], self._constants, self.perturbation, kept)
+        _synchronise_rates(*rows, self.acting_commands()[0], self._constants, kept)
         self._write_loads(ids)  # whose joints turn with the vehicles
 
     def _step_engine(self, ids: np.ndarray | None, record: tuple[str, ...] = ()) -> dict[str, np.ndarray]:
@@ -409,26 +407,10 @@ class MujocoPlant(Plant):
         limits = self._of_model("actuator_forcerange")[:, self._loops]
         self.batch.expand("actuator_forcerange")[:, self._loops] = running[:, None, None] * limits
 
-    def _apply_perturbation(self) -> None:
-        if not self._perturbed and (self.perturbation == perturbation.NEUTRAL).all():
-            return
-        self._perturbed = True
-        p, expand = self.perturbation, self.batch.expand
-        model = self.model
-        thrust = model.actuator("thrust").id
-        gain, dynamics, bias = (expand(f"actuator_{k}prm") for k in ("gain", "dyn", "bias"))
-        gain[:, thrust, 0] = p[:, perturbation.THRUST_SCALE]
-        dynamics[:, thrust, 0] = p[:, perturbation.LAG_SCALE]
-        bias[:, thrust, 0] = p[:, perturbation.THRUST_BIAS]
-        bias[:, thrust, 1] = p[:, perturbation.DRAG_CHANGE]
-        for loop in (model.actuator(name).id for name in ("roll", "pitch")):
-            gain[:, loop, 0] = p[:, perturbation.GAIN_SCALE]
-            dynamics[:, loop, 0] = p[:, perturbation.TIME_CONSTANT_SCALE]
-        if (p[:, perturbation.MASS_SCALE] != 1.0).any() or self.batch.expanded("body_mass") is not None:
-            body = model.body("crazyflie").id
-            mass = expand("body_mass")
-            mass[:, body] = self._of_model("body_mass")[:, body] * p[:, perturbation.MASS_SCALE]
-            self.batch.set_const()
+    def _apply_thrust_scale(self) -> None:
+        if (self.thrust_scale != 1.0).any() or self.batch.expanded("actuator_gainprm") is not None:
+            thrust = self.model.actuator("thrust").id
+            self.batch.expand("actuator_gainprm")[:, thrust, 0] = self.thrust_scale
 
 
 @kernel
@@ -492,7 +474,7 @@ def _read_state(ids, engine, at, state):
 
 
 @kernel
-def _synchronise_rates(engine, at, commands, vehicle, p, kept):
+def _synchronise_rates(engine, at, commands, vehicle, kept):
     """Write the body rates of the first-order loops under commands (n, 4) into the engine's rows (n, s)."""
     for i in range(len(engine)):
         if kept[i]:
@@ -502,8 +484,8 @@ def _synchronise_rates(engine, at, commands, vehicle, p, kept):
         roll, pitch, yaw = euler_angles(q[0], q[1], q[2], q[3])
         x, y, z = row[at.qvel], row[at.qvel + 1], row[at.qvel + 2]
         shown = attitude_loops.estimated_angles(roll, pitch, yaw, x, y, z, v)
-        errors = attitude_loops.angle_errors(shown[0], shown[1], commands[i], v, p[i])
+        errors = attitude_loops.angle_errors(shown[0], shown[1], commands[i], v)
         integrals = row[at.act + 1], row[at.act + 2]
-        rates = attitude_loops.loop_rates(shown, errors, integrals, commands[i], v, p[i])
+        rates = attitude_loops.loop_rates(shown, errors, integrals, commands[i], v)
         a, b, d = attitude_loops.saturated(rates, v)
         row[at.qvel + 3], row[at.qvel + 4], row[at.qvel + 5] = body_rates(roll, pitch, a, b, d)

@@ -125,7 +125,7 @@ class Recorder:
         plant, ambient = self.plant, self._ambient
         ambient[:, forces.INCLINATION], ambient[:, forces.AZIMUTH] = plant.platform[:, [PITCH, YAW]].T
         ambient[:, forces.PRESENT] = plant.present
-        flown = plant.constants, plant.perturbation, ambient, plant.acting_commands()
+        flown = plant.constants, plant.thrust_scale, ambient, plant.acting_commands()
         _mean_forces(steps, ids, *flown, plant.masses, plant.pushes.copy(), plant.model.opt.timestep)
 
     def _clock(self) -> np.ndarray:
@@ -178,13 +178,12 @@ def fly(plant: MujocoPlant, commands: np.ndarray) -> np.ndarray:
 
 
 @kernel
-def _mean_forces(steps, ids, vehicles, perturbation, ambient, commands, masses, pushes, dt):
+def _mean_forces(steps, ids, vehicles, thrust_scale, ambient, commands, masses, pushes, dt):
     """Write `Steps.force`: the change of a vehicle's momentum that neither air nor rotors cause."""
     position, velocity = np.empty(3), np.empty(3)
     for place in range(len(ids)):
         i = ids[place]
-        v, p = vehicles[i if len(vehicles) > 1 else 0], perturbation[i]
-        mass = masses[i]
+        v, scale, mass = vehicles[i if len(vehicles) > 1 else 0], thrust_scale[i], masses[i]
         for k in range(len(steps.time)):
             pwm = commands[k if len(commands) > 1 else 0, i, PWM]
             pwm = min(v.command.pwm_range[1], max(0.0, pwm))
@@ -200,7 +199,7 @@ def _mean_forces(steps, ids, vehicles, perturbation, ambient, commands, masses, 
                 position[:], velocity[:] = q[:3], steps.qvel[place, k + end, :3]
                 roll, pitch, yaw = euler_angles(q[3], q[4], q[5], q[6])
                 r = rotation_entries(sine_cosine(roll), sine_cosine(pitch), sine_cosine(yaw))
-                x, y, z, _, _ = forces.wrench(position, velocity, r, lag, pwm, ambient[i], v, p)
+                x, y, z, _, _ = forces.wrench(position, velocity, r, lag, pwm, ambient[i], scale, v)
                 x, y, z = to_world(r, x, y, z)
                 force[0], force[1], force[2] = force[0] - 0.5 * x, force[1] - 0.5 * y, force[2] - 0.5 * z
 

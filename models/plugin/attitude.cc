@@ -45,7 +45,7 @@ double AngleError(const mjModel* m, const mjData* d, const AttitudeAttributes& c
   const double held = Held(m, d, config, body, axis);
   if (actuator < 0) return -held;
   const Hooks hooks(m, actuator);
-  return config.gain * hooks.gain_scale * (Command(m, d, actuator) + hooks.bias[0] + config.trim[axis]) - held;
+  return config.gain * hooks.gain_scale * (Command(m, d, actuator) + hooks.bias + config.trim[axis]) - held;
 }
 
 // Derivative [rad] of an actuator's integral of its angle error, which does not grow beyond the limit.
@@ -103,8 +103,8 @@ void Compute(const mjModel* m, mjData* d, int instance) {
   // Euler accelerations: the paper's loop, its wanted rate followed with bandwidth B
   const auto angle_acceleration = [&](Axis axis, double rate) {
     const int actuator = actuators[axis];
-    double tau = config->time_constant, error = AngleError(m, d, *config, body, axis, actuator), integrated = 0;
-    if (actuator >= 0) tau *= Hooks(m, actuator).time_scale;
+    const double tau = config->time_constant;
+    double error = AngleError(m, d, *config, body, axis, actuator), integrated = 0;
     if (actuator >= 0 && m->actuator_actnum[actuator] > 0) {
       const double integral = config->integral + config->hold, held = config->hold * tau;
       integrated = integral * IntegralRate(m, d, *config, actuator, error) - held * rate;
@@ -116,16 +116,15 @@ void Compute(const mjModel* m, mjData* d, int instance) {
     const double following = over > 1 ? 0 : (integrated - rate) / tau;
     return config->bandwidth * (wanted / over - rate) + following - beyond * rate;
   };
-  double yaw_wanted = 0, yaw_bandwidth = config->yaw_bandwidth;
+  double yaw_wanted = 0;
   if (actuators[kYaw] >= 0) {
     const Hooks hooks(m, actuators[kYaw]);
     const double gain = hooks.gain_scale * config->yaw_gain;
-    yaw_wanted = gain * (Command(m, d, actuators[kYaw]) + hooks.bias[0]) + config->yaw_drift;
-    yaw_bandwidth /= hooks.time_scale;
+    yaw_wanted = gain * (Command(m, d, actuators[kYaw]) + hooks.bias) + config->yaw_drift;
   }
   const double roll_acc = angle_acceleration(kRoll, roll_rate);
   const double pitch_acc = angle_acceleration(kPitch, pitch_rate);
-  const double yaw_acc = yaw_bandwidth * (yaw_wanted - yaw_rate);
+  const double yaw_acc = config->yaw_bandwidth * (yaw_wanted - yaw_rate);
 
   // time derivative of w = (roll' cp - yaw' cr sp, pitch' + yaw' sr, roll' sp + yaw' cr cp)
   const double horizontal = yaw_acc * cos_roll - yaw_rate * roll_rate * sin_roll;

@@ -142,16 +142,14 @@ inline mjtNum Command(const mjModel* m, const mjData* d, int actuator) {
   return command;
 }
 
-// The hooks: model fields that scale an actuator, neutral at MuJoCo's defaults (1, 1, 0, 0).
+// The hooks: model fields that scale an actuator, neutral at MuJoCo's defaults (1, 0).
 struct Hooks {
   mjtNum gain_scale;
-  mjtNum time_scale;
-  const mjtNum* bias;
+  mjtNum bias;
 
   Hooks(const mjModel* m, int actuator)
       : gain_scale(m->actuator_gainprm[actuator * mjNGAIN]),
-        time_scale(mju_max(mjMINVAL, m->actuator_dynprm[actuator * mjNDYN])),
-        bias(m->actuator_biasprm + actuator * mjNBIAS) {}
+        bias(m->actuator_biasprm[actuator * mjNBIAS]) {}
 };
 
 // Checks what both plugins need of the actuators of an instance: at least one, each on a site,

@@ -18,7 +18,7 @@ mjtNum ThrustOf(const mjModel* m, const mjData* d, const RotorsConfig& config, i
   const Hooks hooks(m, actuator);
   const mjtNum lag = d->act[m->actuator_actadr[actuator]], pwm = Command(m, d, actuator);
   const mjtNum thrust =
-      hooks.gain_scale * (config.state_gain * lag + config.direct_gain * pwm) + hooks.bias[0];
+      hooks.gain_scale * (config.state_gain * lag + config.direct_gain * pwm) + hooks.bias;
   const mjtNum load = config.lag_rate * lag;
   const mjtNum voltage =
       config.voltage_open - config.voltage_drop * load - config.voltage_discharge * d->time;
@@ -141,13 +141,12 @@ void ActDot(const mjModel* m, mjData* d, int instance) {
       d->act_dot[address] = 0;
       continue;
     }
-    const Hooks hooks(m, i);
-    mjtNum rate = (Command(m, d, i) - config->lag_rate * d->act[address]) / hooks.time_scale;
+    mjtNum rate = Command(m, d, i) - config->lag_rate * d->act[address];
     const mjtNum slower = rate < 0 ? 1 + config->spin_down : 1;
     rate /= slower;
     if (m->opt.integrator != mjINT_RK4) {
       // The engine takes one Euler step: make it land on the zero-order-hold solution.
-      const double decay = config->lag_rate / (hooks.time_scale * slower) * m->opt.timestep;
+      const double decay = config->lag_rate / slower * m->opt.timestep;
       rate *= -std::expm1(-decay) / decay;
     }
     d->act_dot[address] = rate;
@@ -173,8 +172,7 @@ void ComputePassive(const mjModel* m, mjData* d, const RotorsConfig& config, int
   for (int i = 0; i < m->nactuator; ++i) {
     if (m->actuator_plugin[i] != instance || !ActuatorEnabled(m, i)) continue;
     const mjtNum thrust = ThrustOf(m, d, config, i);
-    const mjtNum relative = 1 + m->actuator_biasprm[i * mjNBIAS + 1];
-    const mjtNum speed = config.SpeedSum(thrust) * relative;
+    const mjtNum speed = config.SpeedSum(thrust);
     const int body = BodyOf(m, i);
     mjtNum air[3], local[3], force[3], moment[3] = {0, 0, 0}, torque[3], centre[2];
     AirVelocity(m, d, body, air);

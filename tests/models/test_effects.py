@@ -22,7 +22,7 @@ from inclined_landing.eval.gap.model.prediction import predict, predictor
 from inclined_landing.eval.logs import FlightLog
 from inclined_landing.eval.truth.equivalence.flying import UNLIMITED, full_steps, largest_gaps, start_states
 from inclined_landing.eval.truth.equivalence.levels import FLIGHT_LIMITS
-from inclined_landing.models import effects, forces, geometry, perturbation
+from inclined_landing.models import effects, forces, geometry
 from inclined_landing.models.attitude import LAG, PITCH, PWM, ROLL, VX, VY, VZ, WX, YAW, X, Z, quaternion
 from inclined_landing.models.base.errors import UserError
 from inclined_landing.models.effects import CHANNELS, LIBRARY, REGIMES
@@ -257,13 +257,13 @@ def test_both_plants_fly_the_effect_alike(name):
     assert metres > 100 * METRES or degrees > 100 * DEGREES  # and it changes the flight
 
 
-def test_both_plants_fly_all_effects_at_once_with_perturbations():
-    """Delays of 10 and 20 ms, wind, battery, drag, offset and the rest, and each vehicle its own motors."""
+def test_both_plants_fly_all_effects_at_once_with_scaled_thrust():
+    """Delays of 10 and 20 ms, wind, battery, drag, offset and the rest, each vehicle with another thrust."""
     vehicle, scale = everything(), np.linspace(0.9, 1.1, N)
     flights = []
     for kind in BOTH:
         plant = plant_of(kind, N, vehicle)
-        plant.perturb(thrust_scale=scale, lag_scale=1 / scale, gain_scale=scale, mass_scale=scale**2)
+        plant.set_thrust_scale(scale)
         flights.append(fly(plant))
     position, angle = largest_gaps(*flights)
     assert position < METRES and angle < DEGREES
@@ -384,7 +384,7 @@ def test_the_static_map_is_a_line_and_a_curve():
     v = forces.pack(LIBRARY["thrust_curve"].apply(line, values))[0]
     for pwm in (10_000.0, 34_100.0, 60_000.0):
         lag = pwm / V.thrust_lag_rate
-        thrust = forces.total_thrust(lag, pwm, v, np.array(perturbation.NEUTRAL))
+        thrust = forces.total_thrust(lag, pwm, 1.0, v)
         thrust = forces.powered_thrust(thrust, lag, 0.0, math.nan, v)
         assert thrust == pytest.approx(a * pwm**2 + b * pwm + c, rel=1e-9)
     opposite = LIBRARY["battery_sag"].apply(line, {"sag": -curvature, "reference": reference})

@@ -15,7 +15,6 @@ from inclined_landing.models import attitude_loops, equations, forces
 from inclined_landing.models.attitude import LAG, PITCH, ROLL, VX, VZ, WX, YAW, Z, body_rates, rotation
 from inclined_landing.models.equations import derivative
 from inclined_landing.models.parameters import load_vehicle
-from inclined_landing.models.perturbation import neutral
 
 V = load_vehicle()
 G = V.environment_gravity
@@ -33,7 +32,7 @@ def fly(state, commands, duration, steps, rate_loop=False, vehicle=V) -> np.ndar
     state = np.array(state)
     commands = np.broadcast_to(np.asarray(commands, float), (len(state), 4)).copy()
     n = len(state)
-    conditions = equations.Conditions(forces.pack(vehicle), neutral(n), forces.free_air(n))
+    conditions = equations.Conditions(forces.pack(vehicle), np.ones(n), forces.free_air(n))
     equations.advance(state, commands, conditions, rate_loop, duration / steps, steps)
     return state
 
@@ -161,7 +160,7 @@ def test_the_angle_step_of_any_loop_follows_the_equations(damping, integral, hol
     angle, held_by = attitude_loops.integrated_steps(0, commands, twist, 0.1, dt, packed).T
     state, held = hovering(), np.array([[(hold * 0.1 - moment / b) / (a * (integral + hold)), 0.0]])
     state[0, ROLL], flown = 0.1, []
-    conditions = equations.Conditions(packed, neutral(1), forces.free_air(1), integral=held)
+    conditions = equations.Conditions(packed, np.ones(1), forces.free_air(1), integral=held)
     for command in commands:
         row = np.array([[v.hover_pwm, command, 0.0, 0.0]])
         equations.advance(state, row, conditions, True, dt / 40, 40)
@@ -197,7 +196,7 @@ def test_drag_never_adds_power(velocity, angles, pwm, lag):
     state = np.zeros(13)
     state[VX : VZ + 1], state[ROLL : YAW + 1], state[LAG] = velocity, angles, lag
     acceleration = derivative(state, [pwm, 0, 0, 0], V)["acceleration"]
-    thrust = forces.total_thrust(lag, pwm, forces.pack(V)[0], neutral(1)[0])
+    thrust = forces.total_thrust(lag, pwm, 1.0, forces.pack(V)[0])
     without_drag = rotation(*angles)[:, 2] * thrust / V.body_mass - [0, 0, G]
     power = V.body_mass * (acceleration - without_drag) @ velocity
     # m |v| times the rounding of accelerations of about 50 m/s2
@@ -226,7 +225,7 @@ def test_vehicles_do_not_influence_each_other():
         ([V] * 7, forces.pack(V)),
         (others, np.concatenate([forces.pack(v) for v in others])),
     ):
-        together, conditions = states.copy(), equations.Conditions(packed, neutral(7), forces.free_air(7))
+        together, conditions = states.copy(), equations.Conditions(packed, np.ones(7), forces.free_air(7))
         equations.advance(together, commands, conditions, True, 0.004, 5)
         for i, v in enumerate(vehicles):
             alone = fly(states[i : i + 1], commands[i], 0.02, 5, True, v)[0]

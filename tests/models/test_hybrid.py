@@ -86,7 +86,7 @@ CASES = {
     "smooth": {"smooth": True},
     "zone": {"keep_out": 0.04},
     "no platform": {"present": 0.0},
-    "perturbed": {"perturb": True},
+    "scaled thrust": {"scaled": True},
     "effects": {"vehicle": many_effects(delays=False), "disturbance": 5},
     "delays": {"vehicle": many_effects(delays=True), "disturbance": 5},
     "pool": {"pool": [many_effects(delays=False), many_effects(delays=True)], "disturbance": 5},
@@ -110,7 +110,7 @@ def test_every_control_step_is_the_engines(case, seed):
     options = CASES[case].copy()
     smooth, present, off, foot = (options.pop(k, d) for k, d in (
         ("smooth", False), ("present", 0.6), ("off", 0.0), ("foot_height", None)))  # fmt: skip
-    perturbed = options.pop("perturb", False)
+    scaled = options.pop("scaled", False)
     n, steps = 48, 40
     hybrid, engine = HybridPlant(n, **options), MujocoPlant(n, **options)
     rng = np.random.default_rng(seed)
@@ -118,11 +118,8 @@ def test_every_control_step_is_the_engines(case, seed):
         hybrid.assign(np.arange(n), rng.integers(0, len(hybrid.pool) + 1, n))
     turned = rng.uniform(-np.pi, np.pi, n) * (rng.uniform(size=n) < 0.5)
     hybrid.set_platform(np.arange(n), rng.uniform(-0.8, 0.8, n), rng.uniform(size=n) < present, turned)
-    if perturbed:
-        hybrid.perturb(thrust_scale=rng.uniform(0.8, 1.2, n), mass_scale=rng.uniform(0.9, 1.1, n))
-        hybrid.perturb(
-            lag_scale=0.7, drag_change=0.5, gain_scale=1.2, time_constant_scale=0.8, thrust_bias=0.01
-        )
+    if scaled:
+        hybrid.set_thrust_scale(rng.uniform(0.8, 1.2, n))
     if foot is not None:
         hybrid.set_contact(np.arange(n), foot_height=foot)
     if hybrid.platforms:

@@ -39,23 +39,9 @@ WALK = {
     "envs/shipped/robust.toml": ("y = [-0.001, 0.001]\n", "\n[effects.swirl]\nc = [0.0, 3e-4]\n"),
 }
 ATTRIBUTE = 'swirl = { entry = "effects.swirl", meaning = "a toy" }\n'
-OF_THE_ROTORS = {"models/plugin/attributes.toml": [("[rotors]\n", ATTRIBUTE)]}
 TERMS = {
-    "torque": OF_THE_ROTORS
-    | {
-        "models/forces.py": [("near[2] * thrust\n", "    ty += v.effects.swirl * bx\n")],
-        "models/plugin/rotors.cc": [("centre[0] * lift;\n", "    moment[1] += config.swirl * air[0];\n")],
-    },
-    "thrust": OF_THE_ROTORS
-    | {
-        "models/forces.py": [("v.effects.axial_inflow * bz)", " * (1.0 + 1e3 * v.effects.swirl * bx)")],
-        "models/plugin/rotors.cc": [
-            ("config.axial_inflow * air[2])", " * (1 + 1e3 * config.swirl * air[0])")
-        ],
-        "models/held.py": [('"effects_yaw_drift"', ', "effects_swirl"')],
-    },
-    "torque about z": OF_THE_ROTORS
-    | {
+    "torque about z": {
+        "models/plugin/attributes.toml": [("[rotors]\n", ATTRIBUTE)],
         "models/forces.py": [("    return fx, fy, fz + thrust, tx, ty", ", v.effects.swirl * bx")],
         "models/equations.py": [("    fx, fy, fz, tx, ty", ", air_tz"), ("        tz = 0.0", " + air_tz")],
         "models/plants/recorder.py": [("x, y, z, _, _", ", _")],

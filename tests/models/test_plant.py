@@ -12,7 +12,7 @@ import mujoco
 import numpy as np
 import pytest
 
-from inclined_landing.models import geometry, perturbation, threads
+from inclined_landing.models import geometry, threads
 from inclined_landing.models.attitude import LAG, PITCH, ROLL, VX, VZ, YAW, X, Y, Z, euler_angles, quaternion
 from inclined_landing.models.base.errors import UserError
 from inclined_landing.models.geometry import PART_BODIES, PARTS, PLATFORM_BODIES, PLATFORM_GEOMS
@@ -135,12 +135,12 @@ def test_restore_replays_bit_for_bit(build):
     plant, commands = build(4), random_commands(60, 4)
     plant.set_platform(np.arange(4), INCLINATIONS[:4], [True, True, False, True])
     plant.reset(np.arange(4), random_states(4))
-    plant.perturb(thrust_scale=[1, 0.9, 1.1, 1], mass_scale=1.05)
+    plant.set_thrust_scale([1, 0.9, 1.1, 1])
     history(plant, commands[:30])
     snapshot = plant.save()
     contacts = plant.contacts.touch.copy()
     first = history(plant, commands[30:])
-    plant.perturb(thrust_scale=0.5, mass_scale=2.0)
+    plant.set_thrust_scale(0.5)
     plant.set_platform(np.arange(4), 0.0, True)
     plant.restore(snapshot)
     np.testing.assert_array_equal(plant.contacts.touch, contacts)
@@ -297,14 +297,14 @@ def test_the_keep_out_zone_has_no_force():
 
 
 @pytest.mark.parametrize("kind", ["mujoco", "analytic", "hybrid"])
-def test_the_neutral_perturbation_changes_no_bit(kind):
+def test_a_thrust_scale_of_one_changes_no_bit(kind):
     """Also there and back, after which the engine's fields are expanded."""
-    neutral, flights = dict(zip(perturbation.NAMES, perturbation.NEUTRAL)), []
-    for changes in ((), (neutral,), ({"thrust_scale": 1.1, "mass_scale": 1.1}, neutral)):
+    flights = []
+    for scales in ((), (1.0,), (1.1, 1.0)):
         plant = make_plant(kind, 4)
         plant.reset(np.arange(4), random_states(4))
-        for change in changes:
-            plant.perturb(**change)
+        for scale in scales:
+            plant.set_thrust_scale(scale)
         flights.append(history(plant, random_commands(20, 4)))
     assert_same(flights[0], flights[1])
     assert_same(flights[0], flights[2])
@@ -313,17 +313,11 @@ def test_the_neutral_perturbation_changes_no_bit(kind):
 # --- errors ------------------------------------------------------------------------------------------
 
 
-@pytest.mark.parametrize("changes, sentence", [
-    ({"wind": 1.0}, "unknown perturbation 'wind'; choose from thrust_scale"),
-    ({"mass_scale": 0.0}, "perturbation mass_scale must be finite and scales must be positive"),
-    ({"lag_scale": -1.0}, "lag_scale"),
-    ({"thrust_bias": np.nan}, "thrust_bias"),
-])  # fmt: skip
-def test_wrong_perturbations_are_refused(changes, sentence):
+def test_a_thrust_scale_that_is_no_number_is_refused():
     plant = AnalyticPlant(2)
-    with pytest.raises(UserError, match=sentence):
-        plant.perturb(**changes)
-    assert (plant.perturbation == perturbation.NEUTRAL).all()
+    with pytest.raises(UserError, match="the scale of the thrust must be finite"):
+        plant.set_thrust_scale([1.1, np.nan])
+    assert (plant.thrust_scale == 1.0).all()
 
 
 @pytest.mark.parametrize("kind, options, sentence", [
@@ -404,7 +398,7 @@ def flown(kind, moving=False):
         motion.waves.amplitude[:], motion.waves.frequency[:] = 0.02, 3.0
         plant.set_motion(np.arange(4), motion)
     plant.reset(np.arange(4), np.concatenate([on_slab(0.001), random_states(3)]))
-    plant.perturb(mass_scale=1.1, thrust_scale=0.9)
+    plant.set_thrust_scale(0.9)
     if kind != "analytic":
         plant.set_contact([0, 2], friction=0.3, foot_height=0.02)
     history(plant, random_commands(6, 4))
@@ -424,7 +418,7 @@ def test_copies_go_on_alike_and_leave_each_other_alone(kind, copied):
     assert_same(history(plant, commands), went)
     other.assign(np.arange(4), 0)
     other.set_platform(np.arange(4), 0.1)
-    other.perturb(mass_scale=1.0)
+    other.set_thrust_scale(1.0)
     if "hybrid" in kind or "mujoco" in kind:
         other.set_contact([0, 1], friction=1.0, restitution=0.3, contact_time=0.02, foot_height=0.03)
     if kind.startswith("moving"):

@@ -135,17 +135,6 @@ def test_others_fly_on_while_some_become_another(kind, options):
     np.testing.assert_array_equal(*flights)
 
 
-def test_deviations_act_on_top_of_the_pools():
-    """The perturbed mass of a vehicle of the pool is that of a plant of its own perturbed alike."""
-    pooled = begin(make_plant("mujoco", 2, V, pool=[FIELDS["mass"]]), [0, 1])
-    pooled.perturb(mass_scale=1.2)
-    for i, vehicle in enumerate((V, FIELDS["mass"])):
-        own = alone("mujoco", vehicle)
-        own.perturb(mass_scale=1.2)
-        mass = (plant.batch.expanded("body_mass")[k] for plant, k in ((pooled, i), (own, 0)))
-        np.testing.assert_array_equal(*mass)
-
-
 @pytest.mark.parametrize("changed, sentence", [
     ({"command_angle_limit": 0.4}, "command.angle_limit must be the same for all vehicles"),
     ({"platform_width": 1.0}, "slab.half_length must be the same"),

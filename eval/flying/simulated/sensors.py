@@ -96,7 +96,7 @@ class OnboardSensors:
             self._body.voltage_drop += SAG_RATE * PERIOD
             sensitivity = LIBRARY["battery_voltage"].parameters[0].plausible
             share = max(0.0, 1.0 - sensitivity * self._body.voltage_drop)
-            self._body.plant.perturb(thrust_scale=share)
+            self._body.plant.set_thrust_scale(share)
 
     def values(self, time: float) -> dict[str, float]:
         """Return the log variables LOGGED at a time [s] within the last step."""

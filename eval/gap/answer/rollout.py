@@ -53,7 +53,6 @@ from inclined_landing.models.attitude import (
 from inclined_landing.models.base.errors import UserError
 from inclined_landing.models.load import UNLOADED, hanging
 from inclined_landing.models.parameters import as_vehicle
-from inclined_landing.models.perturbation import neutral
 from inclined_landing.models.vehicle import Vehicle
 
 EVERY = 1.0  # s between the starts of two windows
@@ -227,7 +226,7 @@ def _analytic(starts, vehicle, state, integral, commands, ambient) -> np.ndarray
     step_ambient[:, forces.TIME] -= 0.5 * starts.dt
     load = hanging(n) if vehicle.effects_load_mass else UNLOADED
     conditions = equations.Conditions(
-        forces.pack(vehicle), neutral(n), step_ambient, load=load, integral=integral
+        forces.pack(vehicle), np.ones(n), step_ambient, load=load, integral=integral
     )
     for k in range(starts.rows):
         step_ambient[:, 1:] = ambient[:, k, 1:]
@@ -260,7 +259,7 @@ def _mujoco(starts, vehicle, state, integral, commands, ambient, lag) -> np.ndar
     pose[:, 0] = state[:, _POSE]
     for k in range(starts.rows):
         if varies:
-            plant.perturb(thrust_scale=scale[:, k])
+            plant.set_thrust_scale(scale[:, k])
         plant.step(commands[:, k])
         pose[:, k + 1] = plant.state[:, _POSE]
     pose[:, :, 2] -= lift

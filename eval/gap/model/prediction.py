@@ -34,7 +34,6 @@ from inclined_landing.models.forces import (
     pack,
     wrench_near,
 )
-from inclined_landing.models.perturbation import NEUTRAL
 from inclined_landing.models.vehicle import Vehicle
 
 POSE_CHANNELS = ("x", "y", "z", "roll", "pitch", "yaw")  # of the pose
@@ -55,7 +54,6 @@ CHANNEL_GROUPS = {
     "yaw": slice(5, 6),
     "requests": slice(6, 9),
 }
-_NO_PERTURBATION = np.array(NEUTRAL)
 
 # Vehicles share a prediction of the translation, or of the attitude, if all constants that it depends on are
 # equal. Those of the attitude loops alone are those of the table `attitude`, of the loops' plugin, and the
@@ -346,9 +344,7 @@ def _accelerations(measured, v, near, pwm, lag, twist):
     out, velocity, ambient = np.empty_like(measured.velocity), measured.velocity, measured.ambient
     for k in range(len(pwm)):
         r = entries(measured.attitude.rotation[k])
-        fx, fy, fz, tx, ty = wrench_near(
-            near[k], velocity[k], r, lag[k], pwm[k], ambient[k], v, _NO_PERTURBATION
-        )
+        fx, fy, fz, tx, ty = wrench_near(near[k], velocity[k], r, lag[k], pwm[k], ambient[k], 1.0, v)
         fx, fy, fz = to_world(r, fx, fy, fz)
         out[k, 0], out[k, 1], out[k, 2] = fx / v.body.mass, fy / v.body.mass, fz / v.body.mass
         about_x, about_y = tx / v.body.inertia[0], ty / v.body.inertia[1]

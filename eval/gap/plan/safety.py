@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import dataclasses
 import math
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 
 import numpy as np
 from scipy.interpolate import CubicSpline
@@ -20,7 +20,9 @@ from inclined_landing.eval.gap.plan.information import NoiseLevels
 from inclined_landing.eval.gap.plan.pieces import MARGIN, RATE, Setpoints, Space, measured_log
 from inclined_landing.eval.logs import FlightLog
 from inclined_landing.models.attitude import LAG, PITCH, ROLL, STATE_SIZE, VX, YAW, X, Z, rotations
+from inclined_landing.models.base.errors import UserError
 from inclined_landing.models.geometry import reach_below
+from inclined_landing.models.parameters import check_vehicle
 from inclined_landing.models.plants import MujocoPlant
 from inclined_landing.models.surface import normal_of
 from inclined_landing.models.threads import two_at_a_time
@@ -35,8 +37,7 @@ CLEAR, CLEAR_NEAR = 0.15, 0.03  # m, least clearance in simulated flights; in pi
 LEAST_VOLTAGE = 3.0  # V under load, at the end
 # Parameter uncertainty of the vehicle beside the effects: every simulated copy has another sample.
 COPIES = 4
-UNCERTAINTY = {"thrust_scale": 0.03, "lag_scale": 0.2, "drag_change": 0.3, "gain_scale": 0.05,
-    "time_constant_scale": 0.15, "mass_scale": 0.01}  # fmt: skip
+UNCERTAINTY = {"thrust": 0.03, "lag": 0.2, "drag": 0.3, "gain": 0.05, "time_constant": 0.15, "mass": 0.01}
 
 
 @dataclasses.dataclass(frozen=True)
@@ -117,17 +118,19 @@ def fly(points: Setpoints, vehicle: Vehicle, space: Space, noise_levels: NoiseLe
     The first copy is the vehicle itself. The others begin as far off as the pilot hands over.
     """
     rng = np.random.default_rng(seed)
-    plant = MujocoPlant(COPIES, noise_levels.disturbed(vehicle), threads=1, disturbance=rng)
-    other = np.arange(COPIES) > 0
-    drawn = {n: rng.uniform(-s, s, COPIES) * other for n, s in UNCERTAINTY.items()}
-    plant.perturb(**{n: x if n == "drag_change" else 1.0 + x for n, x in drawn.items()})
-    plant.set_platform(np.arange(COPIES), vehicle.platform_inclination, space.platform)
+    everyone, other = np.arange(COPIES), np.arange(COPIES) > 0
+    factors = {n: 1.0 + rng.uniform(-s, s, COPIES) * other for n, s in UNCERTAINTY.items()}
+    model = noise_levels.disturbed(vehicle)
+    pool = [_varied(model, {name: float(x[k]) for name, x in factors.items()}) for k in everyone[1:]]
+    plant = MujocoPlant(COPIES, model, threads=1, disturbance=rng, pool=pool)
+    plant.assign(everyone, everyone)
+    plant.set_platform(everyone, vehicle.platform_inclination, space.platform)
     start = np.zeros((COPIES, STATE_SIZE))
     off = rng.normal(size=(COPIES, 3))
     off *= TOLERANCE * other[:, None] / np.linalg.norm(off, axis=1, keepdims=True)
     start[:, X : Z + 1], start[:, YAW] = points.position[0] + off, points.path.yaw[0]
-    start[:, LAG] = space.vehicle.hover_lag
-    plant.reset(np.arange(COPIES), start)
+    start[:, LAG] = space.vehicle.hover_lag * factors["lag"]
+    plant.reset(everyone, start)
     period, tracker = plant.control_period, Tracker(points, space.vehicle, COPIES)
     steps = math.ceil(points.path.seconds / period)
     states, commands = np.full((steps, COPIES, STATE_SIZE), np.nan), np.zeros((steps, COPIES, 4))
@@ -140,6 +143,28 @@ def fly(points: Setpoints, vehicle: Vehicle, space: Space, noise_levels: NoiseLe
             break
         states[k] = plant.state
     return Flown(states.swapaxes(0, 1), commands.swapaxes(0, 1), period)
+
+
+def _varied(v: Vehicle, factor: Mapping[str, float]) -> Vehicle:
+    """Return a vehicle with the quantities of UNCERTAINTY multiplied by `factor`; v if that is impossible.
+
+    A slower lag has a proportionally larger state under the same command.
+    """
+    thrust, lag = factor["thrust"], factor["lag"]
+    varied = v.changed(
+        thrust_lag_rate=v.thrust_lag_rate / lag,
+        thrust_state_gain=v.thrust_state_gain * thrust / lag,
+        thrust_direct_gain=v.thrust_direct_gain * thrust,
+        drag_coefficients=tuple(factor["drag"] * k for k in v.drag_coefficients),
+        attitude_gain=factor["gain"] * v.attitude_gain,
+        attitude_time_constant=factor["time_constant"] * v.attitude_time_constant,
+        body_mass=factor["mass"] * v.body_mass,
+    )
+    try:
+        check_vehicle(varied)
+    except UserError:
+        return v
+    return varied
 
 
 def _simulation_violation(states: np.ndarray, points: Setpoints, space: Space) -> Violation | None:

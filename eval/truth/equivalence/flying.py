@@ -63,16 +63,14 @@ def side_by_side(v: Vehicle, sequences: list[Sequences]) -> tuple[np.ndarray, np
     return np.concatenate([s.commands for s in sequences], axis=1), start_states(len(yaw), yaw, v)
 
 
-def fly(plant, commands: np.ndarray, starts: np.ndarray | None = None, **changes) -> np.ndarray:
+def fly(plant, commands: np.ndarray, starts: np.ndarray | None = None) -> np.ndarray:
     """Return the states (steps, n, 13) after each of `commands` (steps, n, 4), without platform.
 
-    starts: (n, 13), by default hovering; changes: perturbations (see `models.perturbation`).
+    starts: (n, 13), by default hovering.
     """
     everyone = np.arange(plant.n)
     plant.set_platform(everyone, plant.vehicle.platform_inclination, False)
     plant.reset(everyone, start_states(plant.n, vehicle=plant.vehicle) if starts is None else starts)
-    if changes:
-        plant.perturb(**changes)
     return recorder.fly(plant, commands)[1:]
 
 

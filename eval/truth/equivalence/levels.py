@@ -184,9 +184,8 @@ def section(vehicle: Vehicle, sequences: list[Sequences], count: int, seed: int)
     kinematic.append(WORDS.claim("levels", "paper_step", float(position_gap(landed, coarse).max())))
     mass = next(c for c in constants() if (c.section, c.name) == ("body", "mass"))
     uncertain = float(np.asarray(mass.uncertainty))
-    scale = 1 + uncertain / vehicle.body_mass
-    plant = equations(n, "kinematic", PAPER_SUBSTEPS, vehicle)
-    heavier = flying.fly(plant, commands, starts, mass_scale=scale)
+    heavy = vehicle.changed(body_mass=vehicle.body_mass + uncertain)
+    heavier = flying.fly(equations(n, "kinematic", PAPER_SUBSTEPS, heavy), commands, starts)
     metres = float(np.median(position_gap(heavier, coarse)[-1]))
     rate_loop, flown, _, looped = measure(vehicle, "rate_loop", sequences, count, seed)
     gaps: dict[Attitude, tuple[Gaps, Gaps]] = {"kinematic": drawn, "rate_loop": looped}

@@ -35,7 +35,6 @@ from inclined_landing.models import effects, equations, forces
 from inclined_landing.models.base.errors import UserError
 from inclined_landing.models.effects import LIBRARY
 from inclined_landing.models.parameters import load_vehicle
-from inclined_landing.models.perturbation import neutral
 from tests.validation import simulator
 from tests.validation.gap_blind import generate
 from tests.validation.gap_blind.causes import Drawn
@@ -60,7 +59,7 @@ def flights(hidden=None, *, count=4, seconds=8.0, seed=0, voltage=None, distort=
 def _fly(vehicle, rng, seconds, name, voltage, distort):
     m, h = round(seconds / STEP), STEP / SUBSTEPS
     around = forces.free_air(1)
-    conditions = equations.Conditions(forces.pack(vehicle), neutral(1), around)
+    conditions = equations.Conditions(forces.pack(vehicle), np.ones(1), around)
     state = np.zeros((1, 13))
     state[0, :3] = rng.uniform([-1, -1, 0.8], [1, 1, 1.5])
     state[0, 12] = VEHICLE.hover_pwm / vehicle.thrust_lag_rate
