@@ -46,7 +46,8 @@ class Shapes(NamedTuple):
     @classmethod
     def of(cls, members: Sequence[Shapes]) -> Shapes:
         """Return the shapes of all the vehicles of `members`."""
-        return cls(*map(np.concatenate, zip(*(member[:4] for member in members))), *members[0][4:])
+        of_all = {k: np.concatenate([getattr(s, k) for s in members]) for k in cls._fields[:4]}
+        return members[0]._replace(**of_all)
 
     @property
     def are_equal(self) -> bool:

@@ -225,7 +225,8 @@ def _fly(ids, first, last, numbers, period, vehicles, platforms, engine, results
     """
     dt, substeps, constant = vehicles.timestep, vehicles.substeps, len(period.commands) == 1
     motions, steps, length = period.moving, np.zeros(1, equations.STEP), substeps * dt
-    at, moving, boxes, sizes = engine.at, len(motions.most) > 0, *vehicles.shapes[5:]
+    at, moving = engine.at, len(motions.most) > 0
+    boxes, sizes = vehicles.shapes.box_centres, vehicles.shapes.box_sizes
     integral = engine.state[:, at.act + 1 : at.act + 3]
     poses, platform, state = np.empty((len(platforms.bodies), 3)), platforms.platform, results.state
     for row in range(first, last):

@@ -57,7 +57,7 @@ class Moving(NamedTuple):
     waves: motion.Waves
 
 
-STILL = Moving(np.empty((0, 12)), *np.empty((2, 0)), Motion.still(0).waves)  # one kernel serves both
+STILL = Moving(np.empty((0, 12)), np.empty(0), np.empty(0), Motion.still(0).waves)  # one kernel serves both
 
 
 class Platforms:
@@ -69,7 +69,7 @@ class Platforms:
     def __init__(self, model: mujoco.MjModel, batch, vehicle: Vehicle, platform: np.ndarray, substeps: int):
         n = len(platform)
         self.motion = Motion.still(n)
-        self.moving = Moving(platform.copy(), *np.zeros((2, n)), self.motion.waves)
+        self.moving = Moving(platform.copy(), np.zeros(n), np.zeros(n), self.motion.waves)
         self._everyone = np.arange(n)
         self._platform = platform
         joints = [model.joint(f"platform_{name}") for name in _JOINTS]
