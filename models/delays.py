@@ -30,9 +30,8 @@ class Delays:
         self._command = np.array(
             [[v.effects_thrust_delay, *(v.effects_attitude_delay,) * 3] for v in vehicles]
         )
-        self._measured = np.array(
-            [[v.effects_mocap_delay, attitude_age(v)] for v in vehicles]  # of position, of attitude
-        )
+        delays = np.array([[v.effects_mocap_delay, v.effects_estimator_delay] for v in vehicles])
+        self._measured = np.maximum(0.0, np.cumsum(delays, axis=1))  # of position, of attitude
         self._tilt = np.array([v.effects_mocap_tilt for v in vehicles])
         longest, oldest = self._command.max(), self._measured.max()
         self.of_commands, self.of_measurement = bool(longest > 0.0), bool(oldest > 0.0)
@@ -77,11 +76,6 @@ class Delays:
         if not self._of_state:
             return state
         return _measured(self.states, self._measured, self._tilt, self._choice, self.period, state)
-
-
-def attitude_age(vehicle: Vehicle) -> float:
-    """Return how much older the measured attitude is than its time stamp [s]."""
-    return max(0.0, vehicle.effects_mocap_delay + vehicle.effects_estimator_delay)
 
 
 @kernel

@@ -184,11 +184,6 @@ class MujocoPlant(Plant):
         for rows, expanded in self._of_pool:
             _copy_rows(ids, self.choice, rows, expanded)
 
-    def _of_model(self, field: str) -> np.ndarray:
-        """Return a field of the vehicles' models, (n, ...), or (1, ...) if all have the same."""
-        rows = self._fields.get(field)
-        return getattr(self.model, field)[None] if rows is None else rows[self.choice]
-
     def set_contact(
         self, ids, *, friction=None, restitution=None, contact_time=None, solref=None, foot_height=None
     ) -> None:
@@ -404,7 +399,9 @@ class MujocoPlant(Plant):
         running = commands[:, PWM] > 0.0
         if running.all() and self.batch.expanded("actuator_forcerange") is None:
             return
-        limits = self._of_model("actuator_forcerange")[:, self._loops]
+        differing = self._fields.get("actuator_forcerange")
+        ranges = self.model.actuator_forcerange[None] if differing is None else differing[self.choice]
+        limits = ranges[:, self._loops]
         self.batch.expand("actuator_forcerange")[:, self._loops] = running[:, None, None] * limits
 
     def _apply_thrust_scale(self) -> None:
