@@ -32,7 +32,7 @@ class LandedFlight(Flight):
 
     @property
     def duration(self) -> float:
-        """Length of the policy's flight [s], up to the motor cut."""
+        """Return the length of the policy's flight [s], up to the motor cut."""
         return float(self.t[self.cut])
 
 

@@ -45,6 +45,7 @@ def _hover(v: Vehicle, n: int = 1) -> np.ndarray:
 
 
 def _times(v: Vehicle) -> np.ndarray:
+    """Return the times (STEPS,) [s] at the ends of the control steps."""
     return v.command_control_period * np.arange(1, STEPS + 1)
 
 
