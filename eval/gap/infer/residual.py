@@ -11,10 +11,8 @@ sign-flip permutation test over blocks of a few seconds, with the largest gain o
 from __future__ import annotations
 
 import dataclasses
-import functools
 import itertools
 from collections.abc import Callable, Mapping, Sequence
-from typing import NamedTuple
 
 import numpy as np
 
@@ -57,7 +55,7 @@ def white_residuals(problem: Problem, local: LinearGaussian, names: EffectSet) -
 def reference_residual(problem: Problem, residual: Sequence[np.ndarray]) -> ReferenceResidual:
     """Return the functions of all flights of `problem`, each shrunk by its cross-validated gain."""
     inputs = regressors(problem.flights)
-    bases = {name: _basis(problem, of) for name, of in inputs.items()}
+    bases = _bases(problem, inputs)
     functions = _functions(problem, residual, inputs, bases, None)
     result: dict[str, dict[str, np.ndarray]] = {}
     for f in functions:
@@ -66,52 +64,27 @@ def reference_residual(problem: Problem, residual: Sequence[np.ndarray]) -> Refe
     return ReferenceResidual(bases, result)
 
 
-class Regressor(NamedTuple):
-    """Inputs of a function of the residual."""
-
-    names: tuple[str, ...]
-    inputs: list[np.ndarray]  # (m, k) of every flight
-
-    @staticmethod
-    def of(
-        flights: Sequence[MeasuredFlight],
-        names: Sequence[str],
-        inputs: Callable[[MeasuredFlight], Sequence[np.ndarray]],
-    ) -> Regressor:
-        """Return inputs computed from flights: names of k columns, and these columns of a flight."""
-        return Regressor(tuple(names), [np.column_stack(inputs(f)) for f in flights])
-
-
-def regressors(flights: Sequence[MeasuredFlight]) -> dict[str, Regressor]:
-    """Return the regressors of the residual, by name."""
-    axes = ("forward speed", "sideways speed", "climb rate")
-    commands = ("thrust command", "roll command", "pitch command", "yaw rate command")
-    of = functools.partial(Regressor.of, flights)
-    result = {
-        "place": of(("position x", "position y", "position z"), lambda f: [f.position]),
-        "velocity": of(("velocity x", "velocity y", "velocity z"), lambda f: [f.velocity]),
-        "velocity along its heading": of(axes, lambda f: [_along_heading(f)]),
-        "tilt": of(("roll", "pitch"), lambda f: [f.attitude[:, :2]]),
-        "heading": of(("heading",) * 2, lambda f: [np.cos(f.attitude[:, 2]), np.sin(f.attitude[:, 2])]),
-        "commands": of(commands, lambda f: [f.command]),
-        "roll command": of(("roll command",), lambda f: [f.command[:, 1]]),
-        "pitch command": of(("pitch command",), lambda f: [f.command[:, 2]]),
-        "thrust command and its past": of(
-            _now_and_past(("thrust command",), COMMAND_LAGS),
-            lambda f: _lagged(f, f.command[:, :1], COMMAND_LAGS),
-        ),
-        "tilt commands and their past": of(
-            _now_and_past(("roll command", "pitch command"), COMMAND_LAGS),
-            lambda f: _lagged(f, f.command[:, 1:3], COMMAND_LAGS),
-        ),
-        "velocity and its past": of(
-            _now_and_past(axes, VELOCITY_LAGS), lambda f: _lagged(f, _along_heading(f), VELOCITY_LAGS)
-        ),
-        TIME: of((TIME,), lambda f: [f.t]),
+def regressors(flights: Sequence[MeasuredFlight]) -> dict[str, list[np.ndarray]]:
+    """Return what functions of the residual may depend on: name -> inputs (m, k) of every flight."""
+    columns: dict[str, Callable[[MeasuredFlight], Sequence[np.ndarray]]] = {
+        "place": lambda f: [f.position],
+        "velocity": lambda f: [f.velocity],
+        "velocity along its heading": lambda f: [_along_heading(f)],
+        "tilt": lambda f: [f.attitude[:, :2]],
+        "heading": lambda f: [np.cos(f.attitude[:, 2]), np.sin(f.attitude[:, 2])],
+        "commands": lambda f: [f.command],
+        "roll command": lambda f: [f.command[:, 1]],
+        "pitch command": lambda f: [f.command[:, 2]],
+        "thrust command and its past": lambda f: _lagged(f, f.command[:, :1], COMMAND_LAGS),
+        "tilt commands and their past": lambda f: _lagged(f, f.command[:, 1:3], COMMAND_LAGS),
+        "velocity and its past": lambda f: _lagged(f, _along_heading(f), VELOCITY_LAGS),
+        TIME: lambda f: [f.t],
     }
-    if all(f.voltage is not None for f in flights):
-        result["battery voltage"] = of(("battery voltage",), lambda f: [f.voltage])
-    return result
+    voltages = [f.voltage for f in flights]
+    inputs = {name: [np.column_stack(of(f)) for f in flights] for name, of in columns.items()}
+    if all(v is not None for v in voltages):
+        inputs["battery voltage"] = [np.column_stack([v]) for v in voltages]
+    return inputs
 
 
 def _along_heading(f: MeasuredFlight) -> np.ndarray:
@@ -119,11 +92,6 @@ def _along_heading(f: MeasuredFlight) -> np.ndarray:
     c, s = np.cos(f.attitude[:, 2]), np.sin(f.attitude[:, 2])
     x, y, z = f.velocity.T
     return np.column_stack([c * x + s * y, -s * x + c * y, z])
-
-
-def _now_and_past(names: Sequence[str], times: Sequence[float]) -> list[str]:
-    """Return the names of quantities now, and some times [s] ago."""
-    return [f"{name}{when}" for when in ("", *(f" {t:g} s ago" for t in times)) for name in names]
 
 
 def _lagged(f: MeasuredFlight, values: np.ndarray, times: Sequence[float]) -> list[np.ndarray]:
@@ -189,7 +157,7 @@ def analyse_residual(found: SetPosterior, vehicle: Vehicle) -> ResidualAnalysis:
     residual = white_residuals(problem, found.local, found.names)
     repeating = problem.reference.repeating if problem.reference else None
     inputs = regressors(problem.flights)
-    bases = {name: _basis(problem, of) for name, of in inputs.items()}
+    bases = _bases(problem, inputs)
     if repeating:
         bases = {name: repeating.bases.get(name, basis) for name, basis in bases.items()}
     functions = _functions(problem, residual, inputs, bases, repeating)
@@ -210,7 +178,7 @@ def analyse_residual(found: SetPosterior, vehicle: Vehicle) -> ResidualAnalysis:
 def _functions(
     problem: Problem,
     residual: Sequence[np.ndarray],
-    inputs: Mapping[str, Regressor],
+    inputs: Mapping[str, Sequence[np.ndarray]],
     bases: Mapping[str, Basis],
     repeating: ReferenceResidual | None,
 ) -> list[_RidgeRegression]:
@@ -218,7 +186,7 @@ def _functions(
     block_of = _blocks(problem)
 
     def fits(name: str) -> list[_RidgeRegression]:
-        features = [f.cut(bases[name](x)) for f, x in zip(problem.flights, inputs[name].inputs)]
+        features = [f.cut(bases[name](x)) for f, x in zip(problem.flights, inputs[name])]
         on = (LINEAR[name],) if name in LINEAR else TARGETS
         known = repeating.weights.get(name, {}) if repeating else {}
         return [
@@ -231,7 +199,11 @@ def _functions(
 
 
 def _displacement(
-    problem: Problem, function: _RidgeRegression, basis: Basis, regressor: Regressor, vehicle: Vehicle
+    problem: Problem,
+    function: _RidgeRegression,
+    basis: Basis,
+    inputs: Sequence[np.ndarray],
+    vehicle: Vehicle,
 ) -> Quantity:
     """Return the displacement [m] over HORIZON that a function explains in flights left out.
 
@@ -242,7 +214,7 @@ def _displacement(
         return Quantity(0.0, (0.0, 0.0))
     squares = np.zeros(len(function.a))  # of the displacements in every group, and their number
     counts = np.zeros(len(function.a))
-    for k, (flight, x) in enumerate(zip(problem.flights, regressor.inputs)):
+    for k, (flight, x) in enumerate(zip(problem.flights, inputs)):
         through = _displacement_response(flight, function.target, vehicle)
         # Four displacements a second, each counted with the group of the window that it begins in
         first = np.arange(0, max(0, flight.samples - len(through)), max(1, len(through) // 4))
@@ -289,10 +261,10 @@ def _channels(target: str) -> tuple[int, ...]:
     return (0, 1) if target in _ALONG_HEADING else (POSE_CHANNELS.index(target),)
 
 
-def _basis(problem: Problem, regressor: Regressor) -> Basis:
-    """Return the basis of the inputs of all flights."""
-    usable = [x[f.usable] for f, x in zip(problem.flights, regressor.inputs)]
-    return Basis.of(np.concatenate(usable), regressor.names)
+def _bases(problem: Problem, inputs: Mapping[str, Sequence[np.ndarray]]) -> dict[str, Basis]:
+    """Return the bases of the inputs of all flights."""
+    usable = {n: [x[f.usable] for f, x in zip(problem.flights, of)] for n, of in inputs.items()}
+    return {name: Basis.of(np.concatenate(of), name) for name, of in usable.items()}
 
 
 def _fit(

@@ -67,13 +67,13 @@ class Basis:
         return self(np.zeros((1, len(self.centre)))).shape[1]
 
     @staticmethod
-    def of(seen: np.ndarray, inputs: Sequence[str]) -> Basis:
-        """Return a basis scaled to inputs `seen` (m, k)."""
+    def of(seen: np.ndarray, name: str) -> Basis:
+        """Return the basis of the inputs called `name`, scaled to those `seen` (m, k)."""
         centre, scale = seen.mean(axis=0), np.maximum(seen.std(axis=0), 1e-9)
-        if len(inputs) == 1 and inputs[0] in LINEAR:
+        if name in LINEAR:
             return Basis(centre, scale, ())
         z, count = (seen - centre) / scale, KNOTS
-        if tuple(inputs) == (TIME,):  # oscillations in time need a finer basis
+        if name == TIME:  # oscillations in time need a finer basis
             count = max(KNOTS, round(float(np.ptp(seen)) / TIME_SPACING))
         return Basis(centre, scale, tuple(np.quantile(c, np.linspace(0, 1, count)) for c in z.T))
 

@@ -274,12 +274,12 @@ def test_bumps_and_random_features_follow_a_bent_function():
     rng = np.random.default_rng(8)
     seen = rng.uniform([-2.0, 5.0], [2.0, 9.0], (2000, 2))
     value = np.abs(seen[:, 0]) + np.sin(seen[:, 1])
-    basis = Basis.of(seen, ("velocity x", "position z"))
+    basis = Basis.of(seen, "velocity")
     features = basis(seen)
     fit = np.linalg.lstsq(features, value, rcond=1e-9)[0]
     assert np.std(features @ fit - value) < 0.05 * np.std(value)
     assert np.abs(basis(seen + [100.0, 0.0])).max() <= np.abs(features).max() + 1.0
-    assert Basis.of(seen[:, :1] * 5.0, ("flight time",))(seen[:, :1]).shape == (2000, 40)  # 20 s, every 0.5
+    assert Basis.of(seen[:, :1] * 5.0, "flight time")(seen[:, :1]).shape == (2000, 40)  # 20 s, every 0.5
 
 
 def test_what_is_said_of_fits_is_of_effects_and_parameters_of_the_library():
@@ -474,7 +474,7 @@ def reference():
         BaseColumn("drag x"),
     )
     root = rng.standard_normal((4, 4))
-    basis = Basis.of(rng.standard_normal((50, 2)), ("velocity x", "velocity y"))
+    basis = Basis.of(rng.standard_normal((50, 2)), "velocity")
     width = basis(np.zeros((1, 2))).shape[1]
     repeating = ReferenceResidual({"velocity": basis}, {"velocity": {"z": rng.standard_normal(width)}})
     return VehiclePosterior(
