@@ -2,7 +2,8 @@
 
     renderer = make_renderer(640, 480, camera="arena")
     pose = pose_from_state(state, resting_platform(vehicle))
-    frame = renderer.render(pose, trail=states, ghosts=[Ghost(qpos_of_state(goal))], caption="t 1.10 s")
+    ghost, trail = Ghost(qpos_of_state(goal)), renderer.centres(states)
+    frame = renderer.render(pose, trail=trail, ghosts=[ghost], caption="t 1.10 s")
 
 Two backends draw the same scene: "ray" casts rays with MuJoCo and needs no OpenGL, "gl" is MuJoCo's
 own renderer.

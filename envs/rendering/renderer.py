@@ -52,11 +52,8 @@ class SceneRenderer(contextlib.AbstractContextManager, abc.ABC):
     ) -> np.ndarray:
         """Return one frame (height, width, 3) uint8.
 
-        trail: states (k, 13), drawn through the centre of the drawn vehicle, or points (k, 3) [m];
-        trail_colour (3,) or (k, 3).
+        trail: points (k, 3) [m], as from `centres`; trail_colour (3,) or (k, 3).
         """
-        if trail is not None and np.shape(trail)[1:] == (13,):
-            trail = self.centres(trail)
         trail = None if trail is None or len(trail) < 2 else np.asarray(trail, float)
         frame = self._draw(pose, ghosts, trail, trail_colour, show_vehicle)
         if caption:

@@ -176,7 +176,8 @@ def strobe(flight: Track, renderer: SceneRenderer) -> np.ndarray:
         Ghost(qpos_of_state(flight.state[k]), tuple(colours[k]), alpha=0.8, tint=0.7, shadow=True)
         for k in chosen
     ]
-    return renderer.render(pose_at(flight, -1), trail=flight.state, trail_colour=colours, ghosts=ghosts)
+    trail = renderer.centres(flight.state)
+    return renderer.render(pose_at(flight, -1), trail=trail, trail_colour=colours, ghosts=ghosts)
 
 
 def write_picture(path: Path, picture: np.ndarray) -> Path:

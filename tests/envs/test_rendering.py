@@ -48,12 +48,13 @@ def side():
 
 
 def test_kept_background_equals_a_fresh_picture_bit_for_bit(hero):
-    trail = np.stack([hovering(x=1.2 - 0.02 * k) for k in range(20)])
+    states = np.stack([hovering(x=1.2 - 0.02 * k) for k in range(20)])
+    trail = hero.centres(states)
     goal = Ghost(qpos_of_state(hovering(0.0, 1.2, -0.4)))
     for k in (3, 10, 19):
-        kept = hero.render(over(trail[k]), trail=trail[: k + 1], ghosts=[goal], caption="x")
+        kept = hero.render(over(states[k]), trail=trail[: k + 1], ghosts=[goal], caption="x")
         fresh = RayRenderer(width=W, height=H, camera="hero").render(
-            over(trail[k]), trail=trail[: k + 1], ghosts=[goal], caption="x"
+            over(states[k]), trail=trail[: k + 1], ghosts=[goal], caption="x"
         )
         np.testing.assert_array_equal(kept, fresh)
 
@@ -201,7 +202,7 @@ frames = []
 for backend in ("gl", "ray"):
     with make_renderer(640, 480, "hero", backend) as r:
         bare = r.render(pose, show_vehicle=False).astype(int)
-        full = r.render(pose, trail=[state, state], ghosts=[], caption="").astype(int)
+        full = r.render(pose, trail=r.centres([state, state]), ghosts=[], caption="").astype(int)
         frames.append(np.abs(full - bare).sum(axis=2)[:320] > 60)
 gl, ray = frames
 print((gl & ray).sum() / (gl | ray).sum())
