@@ -1,4 +1,4 @@
-"""Policies for the pilot: from an estimated state to a command, through the mappings of the task."""
+"""What flies for the pilot, from an estimated state to a command: policies, or the controller of a plan."""
 
 from __future__ import annotations
 
