@@ -37,9 +37,9 @@ NO_DRAG = (0.0, 0.0, 0.0)
 _COLUMNS = {"roll": ROLL, "pitch": PITCH, "yaw": YAW}
 
 
-def _hover(v: Vehicle, n: int = 1) -> np.ndarray:
-    """Return (STEPS, n, 4) commands of hover."""
-    commands = np.zeros((STEPS, n, 4))
+def _hover(v: Vehicle) -> np.ndarray:
+    """Return (STEPS, 1, 4) commands of hover."""
+    commands = np.zeros((STEPS, 1, 4))
     commands[..., PWM] = v.hover_pwm
     return commands
 
