@@ -26,7 +26,7 @@ from inclined_landing.models import effects, forces, geometry
 from inclined_landing.models.attitude import LAG, PITCH, PWM, ROLL, VX, VY, VZ, WX, YAW, X, Z, quaternion
 from inclined_landing.models.base.errors import UserError
 from inclined_landing.models.effects import CHANNELS, LIBRARY, REGIMES
-from inclined_landing.models.parameters import constants, load_vehicle, write_vehicle
+from inclined_landing.models.parameters import load_vehicle, write_vehicle
 from inclined_landing.models.plants import MujocoPlant, make_plant
 from inclined_landing.models.scene import build_spec
 
@@ -678,15 +678,6 @@ def test_a_corrected_vehicle_is_a_file(tmp_path):
     assert load_vehicle(tmp_path / "all.toml") == everything()
     write_vehicle(tmp_path / "all.toml", V)  # the same name again
     assert load_vehicle(tmp_path / "all.toml") == V
-    text = (tmp_path / "all.toml").read_text("utf-8")
-    old = re.sub(r"\[(effects|rotor)\].*?(?=\n\[|\Z)", "", text, flags=re.S)
-    assert "ground_effect" not in old
-    (tmp_path / "old.toml").write_text(old, "utf-8")
-    assert load_vehicle(tmp_path / "old.toml") == V  # files older than the effects
-    assert {c.field for c in constants(tmp_path / "old.toml")} == {f.name for f in dataclasses.fields(V)}
-    (tmp_path / "part.toml").write_text(old + '[effects]\nthrust_bias = { value = 0.01, unit = "N", '
-                                        'source = "x", uncertainty = 0 }\n', "utf-8")  # fmt: skip
-    assert load_vehicle(tmp_path / "part.toml") == changed("thrust_bias", force=0.01)
 
 
 def test_what_a_vehicle_has_already_it_may_have_less_of():
