@@ -145,6 +145,15 @@ def test_a_badly_known_vehicle_leaves_more_in_doubt():
     assert told[0] > 0.9 and told[1] < 0.75  # sizes of 0.6 with a deviation of 1 on both sides
 
 
+def test_copies_of_a_vehicle_differ_by_the_drawn_factors_unless_that_is_impossible():
+    factor = {"thrust": 1.02, "lag": 1.2, "drag": 0.8, "gain": 0.97, "time_constant": 1.1, "mass": 1.01}
+    varied = safety._varied(VEHICLE, factor)
+    assert varied.thrust_per_pwm == pytest.approx(1.02 * VEHICLE.thrust_per_pwm, rel=1e-12)
+    # PWM = m g / (thrust per PWM), Omega = PWM / lambda
+    assert varied.hover_lag == pytest.approx(1.01 / 1.02 * 1.2 * VEHICLE.hover_lag, rel=1e-12)
+    assert safety._varied(VEHICLE, factor | {"lag": 1e-3}) == VEHICLE  # its lag is quicker than a step
+
+
 def test_a_plan_through_the_slab_or_a_wall_is_refused():
     through = dataclasses.replace(SLAB, home=FREE.home)
     run = setpoints(pieces.joined_path([pieces.midpoint("run")], through), VEHICLE)
