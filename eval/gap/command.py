@@ -43,7 +43,7 @@ def command(
     from inclined_landing.eval.gap import diagnose
     from inclined_landing.eval.gap.answer.identification import identify
     from inclined_landing.eval.gap.model.reference import read_reference
-    from inclined_landing.eval.gap.report import files, identified, page
+    from inclined_landing.eval.gap.report import files, identified, page, words
     from inclined_landing.eval.gap.result import REFERENCE
     from inclined_landing.models import plants  # noqa: F401
 
@@ -81,7 +81,8 @@ def command(
         with runs.staged_run(out) as folder:
             base = files.write_reference(folder / REFERENCE, identification, source.vehicle)
             files.write_corrected(d, vehicle, folder, base=base)
-            page.write_report(folder, "gap", html, d.to_json(), source, began, versions, images)
+            answer = d.to_json() | {"summary": words.how_much(d)}
+            page.write_report(folder, "gap", html, answer, source, began, versions, images)
         written = out
     finally:  # after any error too: a full disk costs the files, not the answer
         page.show(d, notes, written)

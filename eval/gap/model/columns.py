@@ -355,6 +355,18 @@ class Candidates:
             }
         return result
 
+    def central_difference(self, values: Values, column: ParameterColumn) -> tuple[list[Vehicle], float]:
+        """Return the vehicles a negligible size to either side along a column, and their distance.
+
+        They are closer where the bounds are.
+        """
+        p = self.parameter(column)
+        at = {**self.library[column.effect].neutral, **values.get(column.effect, {}), **dict(column.fixed)}
+        low = max(p.bounds[0], at[p.name] - p.negligible)
+        high = min(p.bounds[1], at[p.name] + p.negligible)
+        ends = [self.corrected({**values, column.effect: {**at, p.name: x}}) for x in (low, high)]
+        return ends, high - low
+
 
 class MovedVehicle(NamedTuple):
     """A vehicle for a finite difference, (f(vehicle) - f(here)) / step."""

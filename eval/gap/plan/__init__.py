@@ -2,3 +2,5 @@
 
 `design.design` chooses smooth manoeuvres by their expected information gain.
 """
+
+SECONDS = 20.0  # of a planned flight, unless another duration is given

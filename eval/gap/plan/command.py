@@ -9,8 +9,7 @@ import tyro
 from msgspec import Meta
 
 from inclined_landing.eval.base.options import RunFolder
-
-SECONDS = 20.0  # of a planned flight, unless another duration is given
+from inclined_landing.eval.gap.plan import SECONDS
 
 
 def command(
@@ -53,7 +52,7 @@ def command(
         say(*sentences.in_doubt(found), *beyond)
         say("No flight was planned, because no safe flight would distinguish these.")
         return
-    lines = [*sentences.in_doubt(found), *sentences.outcome(found), *beyond]
+    lines = [*sentences.in_doubt(found), *sentences.outcome(found), *beyond, *sentences.why_near(plan)]
     with runs.staged_run(out) as folder:
         storage.write_text(folder / "flight.csv", plan.points.csv())
         content = sentences.to_json(plan, plan_input, found, report) | {"text": lines}

@@ -9,10 +9,11 @@ from collections.abc import Callable, Sequence
 import numpy as np
 from threadpoolctl import threadpool_limits
 
-from inclined_landing.eval.gap.plan import pieces, safety
+from inclined_landing.eval.gap.plan import SECONDS, pieces, safety
 from inclined_landing.eval.gap.plan.information import ModelDiscrimination, ScoredSet
 from inclined_landing.eval.gap.plan.pieces import Path, Piece, Setpoints, Space, setpoints
 from inclined_landing.eval.gap.plan.reading import PlanInput
+from inclined_landing.eval.gap.plan.safety import Flown
 from inclined_landing.models.base.errors import UserError
 from inclined_landing.models.threads import two_at_a_time
 
@@ -25,7 +26,7 @@ MOST_OF_A_KIND = 3  # pieces of a kind: varied flights also excite what is not i
 MOST_SETS = 12  # most probable sets that are discriminated between
 LEAST_SHARE = 0.01  # of the first one's probability, for the others
 SIMULATED = 6  # most probable sets under which the flight is simulated
-WORTH = 0.2  # pieces near a surface are flown only if they add at least this share of the gain
+WORTH = 0.2  # pieces near a surface, and turns, are flown only if they add at least this share of the gain
 NEAR_KEPT = 0.9  # share of what they add to the right set's expected probability that is kept when raised
 RAISED = (1.0, 0.8, 0.6, 0.5, 0.4, 0.3, 0.2, 0.1)  # heights tried, shares of their bounds
 
@@ -38,18 +39,30 @@ class Plan:
     discrimination: ModelDiscrimination
     expected: np.ndarray  # (K, K) expected posterior probability of every set j where the set i is true
     gain: float  # nat, expected information gain: decrease of the entropy of the sets
+    flown: list[Flown]  # the simulated flights, by set
+    without: np.ndarray | None  # (K, K) expected without pieces close to a surface; None where it has none
 
     @property
     def path(self) -> Path:
         """Return the flight's path."""
         return self.points.path
 
+    @property
+    def trajectories(self) -> list[np.ndarray]:
+        """Return the states (copies, m, 13) of the simulated flights, by set."""
+        return [one.states for one in self.flown]
+
+    @property
+    def expected_accuracy(self) -> float:
+        """Return the expected posterior probability of the true set."""
+        return float(self.discrimination.probabilities @ np.diag(self.expected))
+
 
 @threadpool_limits.wrap(limits=1, user_api="blas")  # many small matrices, in threads of our own
 def design(
     plan_input: PlanInput,
     *,
-    seconds: float,
+    seconds: float = SECONDS,
     tick: Callable[[str], None] = lambda what: None,
 ) -> Plan:
     """Return the safe flight with the largest expected information about which set of effects is missing.
@@ -71,7 +84,8 @@ def design(
     last = ""
     for _ in range(ATTEMPTS):
         tick("choosing manoeuvres")
-        path = pieces.joined_path(search.best(), space, seconds)
+        chosen, far = search.best()
+        path = pieces.joined_path(chosen, space, seconds)
         points = setpoints(path, vehicle)
         tick("simulating the planned flight")
         vehicles = discrimination.vehicles[:SIMULATED]
@@ -80,7 +94,9 @@ def design(
             tick("computing the expected information")
             logs = [one.log(noise_levels.noise) for one in flown]
             grams = discrimination.flown_grams(logs, platform=plan_input.platform)
-            return Plan(points, discrimination, discrimination.forecast(grams), discrimination.gain(grams))
+            expected, gain = discrimination.forecast(grams), discrimination.gain(grams)
+            without = None if far is None else discrimination.forecast(far)
+            return Plan(points, discrimination, expected, gain, flown, without)
         last = f"{violation.text} after {violation.time:.1f} s"
         search.exclude(path, violation.time)
     raise UserError(f"none of {ATTEMPTS} planned flights is safe under every set of effects; the last {last}")
@@ -98,8 +114,12 @@ class _Search:
     def __init__(self, discrimination: ModelDiscrimination, space: Space, seconds: float, rng):
         self.discrimination, self.space = discrimination, space
         self.seconds, self.rng = seconds, rng
+        self.turning = True  # may the pieces turn the nose
         self._information: dict[Piece, np.ndarray | None] = {}
-        self.pool = [p for kind in pieces.kinds(space) for p in self._safe_pieces(kind)]
+        found = [p for kind in pieces.kinds(space) for p in self._safe_pieces(kind)]
+        # Every other piece keeps the nose where it is: a choice without turns has as many to choose from.
+        held = [p.steady if k % 2 else p for k, p in enumerate(found)]
+        self.pool = [p for p in dict.fromkeys(held) if p and self._safe_setpoints(p)]
         self._add_information(self.pool)
 
     def _safe_pieces(self, kind: str) -> list[Piece]:
@@ -140,26 +160,37 @@ class _Search:
         gram = self._gram_of(chosen)
         return -1.0 if gram is None or not chosen else self.discrimination.gain(gram)
 
-    def best(self) -> list[Piece]:
+    def best(self) -> tuple[list[Piece], np.ndarray | None]:
         """Return the pieces of the largest information gain: greedy choice, then random local search.
 
-        Pieces close to a surface are among them only where they are needed, and not lower: what a flight
-        shows in addition to what is in doubt creates new doubt.
+        Turns and headings, and pieces close to a surface, are among them only where they are needed: what a
+        flight shows in addition to what is in doubt creates new doubt. Pieces close to a surface are not
+        lower than needed; if there are any, returns also the Gram matrix (P, P) of the best flight without.
         """
-        chosen = self._refined(self._greedy_choice(self.pool))
+        every, self.turning = self._greedy_choice(self.pool), True
+        held = [p for p in self.pool if p.steady == p]
+        steady = self._greedy_choice(held)
+        if not self._worth(every, steady):
+            every, self.turning = steady, False
+        chosen = self._refined(every)
         if not any(p.near for p in chosen):
-            return chosen
-        far = self._greedy_choice([p for p in self.pool if not p.near])
-        gain = self.gain(chosen)
-        if gain - max(0.0, self.gain(far)) <= WORTH * gain:
-            return self._refined(far)
-        return self._raised(chosen)
+            return chosen, None
+        far = self._greedy_choice([p for p in (self.pool if self.turning else held) if not p.near])
+        if not self._worth(chosen, far):
+            return self._refined(far), None
+        return self._raised(chosen), self._gram_of(far)
+
+    def _worth(self, more: Sequence[Piece], less: Sequence[Piece]) -> bool:
+        """Return whether one choice of pieces is worth flying because it is so much more informative."""
+        return self.gain(more) - max(0.0, self.gain(less)) > WORTH * self.gain(more)
 
     def _refined(self, chosen: list[Piece]) -> list[Piece]:
         """Return the pieces after random steps of their parameters that raise the gain."""
         for step in STEPS:
             for k in range(len(chosen)):
                 moved = [pieces.perturbed(chosen[k], self.rng, step) for _ in range(MOVES)]
+                if not self.turning:
+                    moved = [p for piece in moved if (p := piece.steady) is not None]
                 chosen = self._better(chosen, k, moved)
         return chosen
 

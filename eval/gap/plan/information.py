@@ -87,7 +87,8 @@ class ModelDiscrimination:
         self._candidates = Candidates.for_vehicle(vehicle, shown)
         self.library = self._candidates.library
         self.vehicles = [self._candidates.corrected(h.values) for h in self.hypotheses]
-        self._best = int(np.argmax(self.probabilities))
+        best = max(self.hypotheses, key=lambda h: h.probability)
+        self.base = self._candidates.corrected(best.values)
         shared = [
             ParameterColumn(name, p.name)
             for name, effect in self.library.items()
@@ -100,12 +101,9 @@ class ModelDiscrimination:
             for name in h.effects
             for p in self.library[name].parameters
         ]
-        # The vehicle a step along each free parameter, and the set that it starts from.
-        columns = [(self._best, column) for column in shared] + [(k, column) for k, _, column in own]
-        self._moved = [
-            (k, self._candidates.one_sided_difference(self.hypotheses[k].values, column))
-            for k, column in columns
-        ]
+        difference = self._candidates.central_difference
+        self._differences = [difference(best.values, column) for column in shared]
+        self._differences += [difference(h.values, column) for _, h, column in own]
         # What the vehicle's identification left uncertain comes on top, in all sets alike. The directions are
         # turned to the covariance's principal axes, in which they are independent.
         negligible = [self._candidates.parameter(column).negligible for column in shared]
@@ -130,14 +128,13 @@ class ModelDiscrimination:
         return np.array([h.probability for h in self.hypotheses])
 
     def _deviation(self, h: ScoredSet, column: ParameterColumn) -> float:
-        """Return the standard error of a set's coordinate; if not known, a quarter of its size."""
-        p = self._candidates.parameter(column)
-        value = h.values[column.effect].get(p.name, p.neutral)
+        """Return the standard error of a set's value; a quarter of its size where the diagnosis has none."""
+        p, values = self._candidates.parameter(column), h.values[column.effect]
         known = h.standard_errors.get(column.effect, {}).get(p.name)
         if known is None:
-            known = 0.25 * abs(p.size(value))
+            known = 0.25 * abs(p.size(values.get(p.name, p.neutral)))
         low, high = p.bounds
-        return float(min(max(known, SPIKE * p.negligible), 0.25 * (high - low)) / p.slope(value))
+        return float(min(max(known, SPIKE * p.negligible), 0.25 * (high - low)))
 
     def flight(self, points: Setpoints, *, platform: bool = False) -> MeasuredFlight:
         """Return the measured flight of a vehicle that tracks the set-points perfectly."""
@@ -157,20 +154,25 @@ class ModelDiscrimination:
         noise_model = tuple(ChannelNoise(s, time=t) for s, t in zip(levels.disturbance, levels.time))
         responses, acceleration_noise = flight.error_responses, flight.acceleration_noise
         white_by = Whitening.of(responses, levels.noise, acceleration_noise, noise_model)
-        of_sets = [predict(flight, v) for v in self.vehicles]
-        slopes = [one - of_sets[self._best] for one in of_sets]
-        slopes += [(predict(flight, moved.vehicle) - of_sets[k]) / moved.step for k, moved in self._moved]
+        base = predict(flight, self.base)
+        slopes = [predict(flight, v) - base for v in self.vehicles]
+        slopes += [
+            (predict(flight, high) - predict(flight, low)) / step for (low, high), step in self._differences
+        ]
         white = np.stack([white_by(flight.cut(s)).ravel() for s in slopes])
         shared = slice(len(self), len(self) + len(self._axes))
         white[shared] = self._axes.T @ white[shared]
         return white @ white.T
 
-    def forecast(self, gram: np.ndarray) -> np.ndarray:
+    def expected(self, gram: np.ndarray) -> np.ndarray:
         """Return (K, K): the expected posterior probability of every set j where the set i is true.
 
-        It is averaged over INFORMATION_SHARES, as a real flight has less than all. gram (P, P), or (K, P, P)
-        where the flight is another one under every set.
+        gram (P, P), or (K, P, P) where the flight is another one under every set.
         """
+        return self._after(gram, (1.0,))[0].mean(axis=1)
+
+    def forecast(self, gram: np.ndarray) -> np.ndarray:
+        """Return `expected` (K, K) averaged over INFORMATION_SHARES, as a real flight has less than all."""
         return self._after(gram, INFORMATION_SHARES).mean(axis=(0, 2))
 
     def gain(self, gram: np.ndarray) -> float:

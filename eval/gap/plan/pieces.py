@@ -103,6 +103,15 @@ class Piece:
         return Piece(self.kind, tuple(share if n == "height" else x for n, x in zip(names, self.shares)))
 
     @property
+    def steady(self) -> Piece | None:
+        """Return the piece with the nose at heading 0 throughout; None for a turn."""
+        if self.kind == "turn":
+            return None
+        still = {"heading": 0.5, "nose": 0.0}  # shares of their bounds
+        names = KINDS[self.kind].bounds
+        return Piece(self.kind, tuple(still.get(n, x) for n, x in zip(names, self.shares)))
+
+    @property
     def text(self) -> str:
         """Return a description of the piece as part of a sentence."""
         angles = ("heading", "direction", "angle", "tilt", "rate")

@@ -104,6 +104,24 @@ def flight(plan: Plan) -> list[str]:
     return [f"{s.start:5.1f} s  {s.piece.text}" for s in plan.path.spans]
 
 
+def why_near(plan: Plan) -> list[str]:
+    """Return a sentence on why a flight goes close to a surface; none where it does not."""
+    near = [s.piece for s in plan.path.spans if s.piece.near]
+    if not near or plan.without is None:
+        return []
+    low = min(near, key=lambda piece: piece.height)
+    with_it, without = np.diag(plan.expected), np.diag(plan.without)
+    named = [bool(h.effects) for h in plan.discrimination.hypotheses]  # "nothing" needs no going anywhere
+    k = int(np.argmax(np.where(named, with_it - without, -1.0)))
+    what = set_label(plan.discrimination.hypotheses[k])
+    surface = "slope" if low.kind == "slope_hover" else "floor"
+    return [
+        f"The flight descends to {low.height:.2f} m above the {surface} because {what} cannot be identified "
+        f"higher up: if the model lacks it, its expected probability is {probability(with_it[k])}, compared "
+        f"with {probability(without[k])} without the descent."
+    ]
+
+
 def fly_command(flight: Path, platform: bool, arena: Path | None) -> str:
     """Return the command that flies a plan; arena: vehicle file of a room that is not the shipped one."""
     options = ["" if platform else " --no-platform", f" --arena {arena}" if arena else ""]
@@ -111,17 +129,36 @@ def fly_command(flight: Path, platform: bool, arena: Path | None) -> str:
 
 
 def to_json(plan: Plan, plan_input: PlanInput, found: Sequence[InDoubt], report: Path) -> dict:
-    """Return the contents of plan.json."""
+    """Return the contents of plan.json; probabilities before the flight are those of the report."""
+    states = np.concatenate([s.reshape(-1, s.shape[-1]) for s in plan.trajectories])
+    reported = {h.effects: h.probability for h in plan_input.hypotheses}
+    sets = [
+        {
+            "effects": h.effects,
+            "probability": reported[h.effects],
+            "expected": float(plan.expected[k, k]),
+            "values": h.values,
+        }
+        for k, h in enumerate(plan.discrimination.hypotheses)
+    ]
     return {
         "report": str(report),
         "platform": plan_input.platform,
         "seconds": plan.path.seconds,
         "in_doubt": [dataclasses.asdict(one) for one in found],
+        "sets": sets,
+        "expected": plan.expected_accuracy,
         "gain": plan.gain,
         "pieces": [
             {"kind": s.piece.kind, "start": s.start, "stop": s.stop, "text": s.piece.text}
             | {"parameters": s.piece.parameters}
             for s in plan.path.spans
         ],
+        "simulated": {
+            "flights": sum(len(s) for s in plan.trajectories),
+            "speed": float(np.linalg.norm(states[:, 3:6], axis=1).max()),
+            "tilt": float(np.abs(states[:, 6:8]).max()),
+            "lowest": float(states[:, 2].min()),
+        },
         "versions": runs.versions(),
     }

@@ -150,6 +150,8 @@ def said(name: str, numbers: Mapping[str, tuple[float, str]]) -> str:
 
 def remedy(effect: NamedEffect) -> str:
     """Return what a person can do about a named effect; where its size cannot be, where else to look."""
+    if all(p.at_bound for p in effect.sizes):
+        return "At the bound of its range, it stands for another cause: landing-eval plan designs a flight."
     less = [p for p in LIBRARY[effect.name].parameters if p.one_signed and p.name in effect.parameters]
     if any(effect.parameters[p.name].value < p.neutral for p in less):
         return "The vehicle had more of it when it was identified: look for what else has changed since then."
