@@ -1,4 +1,4 @@
-"""Tasks, environments and rendering.
+"""Tasks, environments, policies, their recorded flights, and rendering.
 
 `import inclined_landing` registers every task with Gymnasium under the name of its class (`ids.py`). If an id
 begins with a package, as in `inclined_landing:InclinedLanding-v0`, Gymnasium imports that package first:

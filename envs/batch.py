@@ -174,13 +174,13 @@ class BatchEnv:
     def observe(self, ids=slice(None)) -> np.ndarray:
         """Return observations (k, o) of the vehicles `ids` as measured now, with their history."""
         ids = ids if isinstance(ids, slice) else self._numbers(ids)
-        return self._with_past(self._present(self.plant.measurement, ids), ids)
+        return self._with_past(self._observation(self.plant.measurement, ids), ids)
 
     def _with_past(self, observation: np.ndarray, ids) -> np.ndarray:
         parameters = None if self._privileged is None else self._privileged[self.plant.choice[ids]]
         return self.past.stack(observation, ids, parameters)
 
-    def _present(self, measurement: np.ndarray, ids=slice(None)) -> np.ndarray:
+    def _observation(self, measurement: np.ndarray, ids=slice(None)) -> np.ndarray:
         contacts, platform = self.plant.contacts, self.plant.platform
         return self.task.observe(StepContext(measurement[ids], contacts[ids], platform=platform[ids]))
 
@@ -230,7 +230,7 @@ class BatchEnv:
             getattr(self._start, name)[ids] = getattr(start, name)
         for name in _EPISODE:
             getattr(self, name)[ids] = 0
-        observation = self._present(self.plant.measurement, ids)
+        observation = self._observation(self.plant.measurement, ids)
         self.past.reset(ids, observation)
         return self._with_past(observation, ids)
 
@@ -320,7 +320,7 @@ class BatchEnv:
             self.commands = self.task.commands(self.actions, self._hover_pwm[self.plant.choice])
         self.commands = self.task.body_commands(self.commands, measurement, self.plant.platform)
         if self.task.history:
-            self.past.record(self._present(measurement), self.actions)
+            self.past.record(self._observation(measurement), self.actions)
 
     def outcome(self) -> Step:
         """Return rewards and episode ends after the plant's step, the second half of `step`."""
@@ -329,8 +329,8 @@ class BatchEnv:
         self.contact_steps += contacts.platform_near
         self.touched |= contacts.platform
         state, platform, start = self.plant.state, self.plant.platform, self._start
-        past = {"length": self.length, "in_contact": self.contact_steps, "held_steps": self.held_steps}
-        context = StepContext(state, contacts, self.actions, start, **past, platform=platform)
+        counts = {"length": self.length, "in_contact": self.contact_steps, "held_steps": self.held_steps}
+        context = StepContext(state, contacts, self.actions, start, **counts, platform=platform)
         verdict: Evaluation = self.task.evaluate(context)
         if verdict.holding is not None:
             self.held_steps = np.where(verdict.holding, self.held_steps + 1, 0)

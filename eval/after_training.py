@@ -83,8 +83,7 @@ def _film(policy: Policy, folder: Path) -> list[Path]:
     files = [folder / f"{policy.task.name}.mp4", folder / "picture.png"]
     flight = to_rest(fly_from(policy, usual_starts(policy.task)[:1], "mujoco")[0])
     with renderer_for([flight], _LOOK) as renderer:
-        frames, _, rate = film([flight], renderer, _FPS, 1.0)
-        write_videos({files[0]: 1}, frames, fps=rate)
+        write_videos({files[0]: 1}, film([flight], renderer, _FPS), fps=_FPS)
         write_picture(files[1], strobe(flight, renderer))
     return files
 

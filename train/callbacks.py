@@ -174,22 +174,18 @@ class CriticFirst(_BetweenRollouts):
                 parameter.requires_grad_(learns)
 
 
-class Every(BaseCallback):
+class Every(_BetweenRollouts):
     """Calls `action(iteration)` before a rollout, every `interval` iterations from `first` on; 0: never.
 
     The previous iteration's update is then finished, so that the policy, the vehicles and the random states
-    are consistent. `action` returns False to stop the training.
+    are consistent. An `action` ends the training by an exception.
     """
 
-    def __init__(self, interval: int, action: Callable[[int], bool | None], per_iteration: int, first: int):
+    def __init__(self, interval: int, action: Callable[[int], None], per_iteration: int, first: int):
         super().__init__()
         self.interval, self.action, self.per_iteration, self.first = interval, action, per_iteration, first
-        self.stop = False
 
     def _on_rollout_start(self) -> None:
         iteration = self.num_timesteps // self.per_iteration
         if self.interval and iteration >= self.first and iteration % self.interval == 0:
-            self.stop = self.action(iteration) is False
-
-    def _on_step(self) -> bool:
-        return not self.stop
+            self.action(iteration)

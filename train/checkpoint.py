@@ -73,7 +73,7 @@ def save(learner: Learner, evaluation: PeriodicEvaluation, config: dict) -> None
     state = {
         "steps": learner.steps,
         "updates": int(model._n_updates),
-        "start_rng": learner.env.env.rng.bit_generator.state,
+        "start_rng": learner.batch.rng.bit_generator.state,
         "numpy_rng": [int(position), int(has_gauss), float(gauss)],
         "ended": [[e["r"], e["l"]] for e in model.ep_info_buffer],
         "successes": [bool(success) for success in model.ep_success_buffer],
@@ -170,7 +170,7 @@ def refused(path: Path, why: str) -> UserError:
 
 def _tensors_of(learner: Learner) -> dict[str, dict[str, torch.Tensor]]:
     """Return the tensors of a checkpoint that a new learner also has."""
-    batch, averages = learner.env.env, learner.averages
+    batch, averages = learner.batch, learner.averages
     return {
         "policy": learner.model.policy.state_dict(),
         "averages": {} if averages is None else averages.state_dict(),
@@ -185,7 +185,7 @@ def _restore(learner: Learner, saved: dict) -> TrainingState:
     Raises UserError for names, shapes or types that do not belong to this model and this environment.
     """
     state = schema.parse(json.loads(saved["state"]), TrainingState)
-    model, batch, last = learner.model, learner.env.env, saved["last"]
+    model, batch, last = learner.model, learner.batch, saved["last"]
     batch.reset()  # which makes room for the waves of moving platforms
     for name, expected in _tensors_of(learner).items():
         _check(saved[name], expected, name)

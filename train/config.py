@@ -39,10 +39,9 @@ COMMON = (
     *("task", "out", "seed", "steps", "start_from", "inclination", "steepest", "dimensions", "vehicle"),
     *("randomise", "nominal", "plant", "net_arch", "resume", "report"),
 )
-CARRIED_ON = 100_000  # least steps of a run that goes on from a policy of its task
-VARIED = 32  # iterations between the longer evaluations of runs of a fixed length with drawn vehicles
+MIN_STEPS_CONTINUED = 100_000  # least steps of a run that continues from a policy of its task
+SELDOM = 32  # iterations between the longer evaluations of runs of a fixed length with drawn vehicles
 NET_ARCH = (64, 64)
-FOR_PLANE = "landing-nominal"  # the policy that replaces DESCENT in the plane
 
 
 # --- options ----------------------------------------------------------------------------------------
@@ -228,7 +227,7 @@ class TrainConfig:
 
     def least_steps(self, task: type[Task] | Task) -> int:
         """Number of environment steps before which a resolved run of a task does not end by success."""
-        usual = CARRIED_ON if _is_of(self.start_from, task) else task.training.min_steps
+        usual = MIN_STEPS_CONTINUED if _is_of(self.start_from, task) else task.training.min_steps
         return min(usual, self.most_steps())
 
     def as_json(self) -> dict:
@@ -266,9 +265,6 @@ def resolve(config: TrainConfig) -> TrainConfig:
         raise UserError("--nominal and --randomise cannot be combined")
     usual = _usual(config, kind, dimensions or 2)
     randomise = config.randomise or usual.randomise
-    if randomise is not None and (config.steps is not None or usual.success is None):
-        # No evaluation ends a run of a fixed length, so that fewer are enough.
-        usual = dataclasses.replace(usual, evaluate_every=VARIED)
 
     values = _with_defaults(config, usual)
 
@@ -331,8 +327,13 @@ def _usual(config: TrainConfig, kind: type[Task], dimensions: int) -> Training:
             case = "drawn" if config.start_from is None else "drawn-from"
         training = in_case(training, "landing", case)
     if config.nominal:
-        return dataclasses.replace(training, randomise=None, history=0, all_commands=False)
-    return training if config.fastest is None else dataclasses.replace(training, randomise=None)
+        training = dataclasses.replace(training, randomise=None, history=0, all_commands=False)
+    elif config.fastest is not None:
+        training = dataclasses.replace(training, randomise=None)
+    if (config.randomise or training.randomise) and (config.steps is not None or training.success is None):
+        # No evaluation ends a run of a fixed length, so that fewer are enough.
+        training = dataclasses.replace(training, evaluate_every=SELDOM)
+    return training
 
 
 def _ending(config: TrainConfig, training: Training) -> dict[str, Any]:

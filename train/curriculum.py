@@ -88,16 +88,16 @@ class Curriculum:
     least_noise = 0.0  # standard deviation below which PPO's exploration noise does not fall
     explored_at = 0  # environment steps after which that was last raised; 0: never
 
-    def __init__(self, gamma: float | str, the_task: Any = None):
-        """gamma: a number, or RISING; the_task: conditions of training without a curriculum."""
-        self._gamma, self._the_task = gamma, the_task
+    def __init__(self, gamma: float | str, conditions: Any = None):
+        """gamma: a number, or RISING; conditions: those of training without a curriculum."""
+        self._gamma, self._conditions = gamma, conditions
         self.settling = USUAL.settling
         self.restarts, self.most_restarts = 0, USUAL.restarts  # of the learning rate, to its initial value
         self._without: list[str] = []  # fields of the conditions that are the task's from the first step on
 
     def stage(self) -> Any:
         """Return the present conditions before parts are omitted; None if the task has no conditions."""
-        return self._the_task
+        return self._conditions
 
     def conditions(self) -> Any:
         """Return the conditions of the next episodes; None if the task has none.
@@ -201,7 +201,7 @@ class Curriculum:
 
     def state(self) -> dict:
         """Return all attributes except the conditions of the task, in JSON types, for every checkpoint."""
-        found = {name: value for name, value in vars(self).items() if name != "_the_task"}
+        found = {name: value for name, value in vars(self).items() if name != "_conditions"}
         return {name: list(value) if isinstance(value, deque) else value for name, value in found.items()}
 
     def restore(self, state: dict) -> None:

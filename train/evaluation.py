@@ -71,7 +71,7 @@ class PeriodicEvaluation:
         return score
 
     @property
-    def last(self) -> str:
+    def last_in_words(self) -> str:
         """The last evaluation in a few words; empty before the first one."""
         return self.words(self.rows[-1]) if self.rows else ""
 

@@ -29,8 +29,8 @@ class Learner:
 
     def __init__(self, config: TrainConfig, record: dict, fresh: bool):
         self.config, self.record = config, record
-        self.env = ppo.training_environment(config)
-        self.task: Task = self.env.env.task
+        env = ppo.training_environment(config)
+        self.batch, self.task = env.env, env.env.task
         drawn = config.randomise is not None and config.is_planar
         assert config.curriculum is not None and config.gamma is not None
         self.curriculum = make_curriculum(
@@ -42,7 +42,7 @@ class Learner:
         if config.start_from and fresh:
             vehicle = load_vehicle(config.vehicle) if config.vehicle is not None else None
             self.teacher = warm_start.teacher(config.start_from, self.task, vehicle)
-        self.model = ppo.build_model(config, self.env)
+        self.model = ppo.build_model(config, env)
         if isinstance(self.teacher, Policy):
             warm_start.take_over(self.model, self.teacher)
             if self.teacher.task.name == self.task.name:
@@ -61,7 +61,7 @@ class Learner:
     def teach(self) -> None:
         """Teach a new model what the teacher's weights do not contain."""
         if self.teacher is not None:
-            warm_start.teach(self.model, self.env.env, self.teacher, self.config.seed)
+            warm_start.teach(self.model, self.batch, self.teacher, self.config.seed)
 
     @contextmanager
     def averaged(self) -> Iterator[None]:

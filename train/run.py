@@ -54,8 +54,8 @@ def train(config: TrainConfig) -> tuple[Path, dict]:
     return run.folder, run.execute()
 
 
-class _Reached(Exception):
-    """Raised by a callback when the desired success rate is reached, to leave the model's `learn`."""
+class _Ended(Exception):
+    """Raised by a callback, before a rollout, to leave the model's `learn`."""
 
 
 class Run:
@@ -98,7 +98,6 @@ class Run:
         self.ending = Ending(self.config, least, learner.curriculum, learner.history, rows)
         self.metrics = None if saved is None else self._finished()
         self.curve: LearningCurve | None = None
-        self._stopped = False
 
     @property
     def is_reported(self) -> bool:
@@ -152,7 +151,7 @@ class Run:
                 steps = "steps" if config.success is None else "steps at most"
                 with stages(config.most_steps(), steps, begun) as tick:
                     model.learn(whole, self._callbacks(tick), log_interval=1, reset_num_timesteps=not resumed)
-        except _Reached:  # before a rollout: policy, vehicles and random states belong together
+        except _Ended:
             pass
         finally:
             model.logger.close()
@@ -183,9 +182,7 @@ class Run:
             callbacks.append(Averaging(learner.averages))
         if config.start_from:
             callbacks.append(CriticFirst(warm_start.CRITIC_FIRST))
-        if config.max_seconds is not None:
-            callbacks.append(every(1, self._in_time))
-        return callbacks
+        return [*callbacks, every(1, self._check_time)]
 
     def _evaluate_or_end(self, iteration: int) -> None:
         steps, curriculum = self.learner.steps, self.learner.curriculum
@@ -196,7 +193,7 @@ class Run:
                 return  # the share of varied vehicles still rises
         self.evaluate()
         if self.ending.reached(steps):
-            raise _Reached
+            raise _Ended
         if self.ending.has_stalled():
             curriculum.learn_again()
         elif self.ending.should_explore():
@@ -208,20 +205,18 @@ class Run:
         for name, value in score.items():
             self.learner.model.logger.record(f"evaluation/{name}", value)
         if self.curve is not None:
-            self.curve.notice = f", evaluation {self.evaluation.last}"
+            self.curve.notice = f", evaluation {self.evaluation.last_in_words}"
 
     def checkpoint(self, iteration: int) -> None:
         """Write everything needed to continue to one file, atomically; then write the curves."""
         checkpoint.save(self.learner, self.evaluation, self._as_recorded())
         self._write_histories()
 
-    def _in_time(self, iteration: int) -> bool:
-        """Return False, after writing a checkpoint, if the wall time is used up."""
-        if self.learner.clock.total() < (self.config.max_seconds or math.inf):
-            return True
-        self.checkpoint(iteration)
-        self._stopped = True
-        return False
+    def _check_time(self, iteration: int) -> None:
+        """End the training, after writing a checkpoint, if the wall time is used up."""
+        if self.config.max_seconds is not None and self.learner.clock.total() >= self.config.max_seconds:
+            self.checkpoint(iteration)
+            raise _Ended
 
     def _end(self) -> dict:
         """Write the last evaluation, checkpoint, policy and metrics, and return the metrics."""
@@ -230,14 +225,14 @@ class Run:
         steps = learner.steps
         if self.config.evaluate_every and not (rows and rows[-1]["steps"] == steps):
             self.evaluate()
-        if not self._stopped:  # then the checkpoint lies at the beginning of the dropped rollout
+        if self.ending.is_over(steps):  # else `_check_time` wrote it, before this evaluation
             self.checkpoint(math.ceil(steps / self.config.per_iteration))
         storage.write_bytes(self.folder / "final.zip", learner.policy_file())
         learner.clock.switch("training")
         metrics = {
             "finished": self.ending.is_over(steps),
             "reached": None if self.config.success is None else self.ending.reached(steps),
-            "ended": self.ending.words(steps, self.evaluation.last),
+            "ended": self.ending.words(steps, self.evaluation.last_in_words),
             "steps": steps,
             "seconds": {name: round(value, 2) for name, value in learner.clock.spent.items()},
             "cpu_seconds": round(learner.clock.cpu, 2),

@@ -37,7 +37,6 @@ from inclined_landing.models import surface
 from inclined_landing.models.attitude import PITCH, ROLL, X, Y, Z
 from inclined_landing.models.base.errors import UserError
 from inclined_landing.models.vehicle import Vehicle
-from inclined_landing.train.config import FOR_PLANE
 from inclined_landing.train.descent import Descent
 
 CRITIC_FIRST = 65_536  # environment steps in which the actor is left alone
@@ -63,7 +62,7 @@ def teacher(name: str, task: Task, vehicle: Vehicle | None) -> Policy | Descent:
         return Descent(task)
     usual = task.training.start_from
     if usual == DESCENT:
-        usual = FOR_PLANE  # instead of the law, policies of the same task are accepted
+        usual = "landing-nominal"  # the policy with which training in the plane starts
     wanted = trained_task(usual) if usual and trained_task(name) != task.name else task.name
     return load_policy(name, wanted, vehicle=vehicle, inclination=task.options.get("inclination"))
 

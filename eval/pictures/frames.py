@@ -213,36 +213,37 @@ def write_videos(every: Mapping[Path, int], frames, fps: float = FPS) -> None:
 
 
 def film(
-    flights: Sequence[Flight | Mission], renderer: SceneRenderer, sampled: float, slow: float
-) -> tuple[Iterator[np.ndarray], int, float]:
-    """Return the frames of one vehicle's flights in sequence, their number, and the video's rate [1/s].
+    flights: Sequence[Flight | Mission], renderer: SceneRenderer, sampled: float, slow: float = 1.0
+) -> Iterator[np.ndarray]:
+    """Yield the frames of one vehicle's flights in sequence, `sampled` of them per second of flight.
 
-    sampled: frames per second of flight. The last frame of each flight is held for a moment.
+    The last frame of each flight is held for a moment.
     """
-    rest = round(_REST * sampled / slow)
-
-    def frames():
-        for flight in flights:
-            for frame in render_flight(flight, renderer, fps=sampled, slow=slow):
-                yield frame
-            yield from itertools.repeat(frame, rest)
-
-    total = sum(round(flight.t[-1] * sampled) + 1 + rest for flight in flights)
-    return frames(), total, sampled / slow
+    for flight in flights:
+        for frame in render_flight(flight, renderer, fps=sampled, slow=slow):
+            yield frame
+        yield from itertools.repeat(frame, round(_REST * sampled / slow))
 
 
-def write_film(files: Mapping[Path, int], frames: Iterator[np.ndarray], total: int, rate: float) -> None:
-    """Write the videos, each with every n-th frame, and show a progress bar on stderr."""
+def write_film(
+    files: Mapping[Path, int],
+    flights: Sequence[Flight | Mission],
+    renderer: SceneRenderer,
+    sampled: float,
+    slow: float = 1.0,
+) -> None:
+    """Write `film` to videos, each with every n-th frame, and show a progress bar on stderr."""
     names = " and ".join(str(path) for path in files)
 
     def ticking(tick: Tick) -> Iterator[np.ndarray]:
-        for frame in frames:
+        for frame in film(flights, renderer, sampled, slow):
             tick(names)
             yield frame
 
+    total = sum(round(flight.t[-1] * sampled) + 1 + round(_REST * sampled / slow) for flight in flights)
     with stages(total, "frames") as tick:
         try:
-            write_videos(files, ticking(tick), fps=rate)
+            write_videos(files, ticking(tick), fps=sampled / slow)
         except OSError as error:
             raise UserError(f"cannot write {names}: {(error.strerror or str(error)).lower()}") from error
 

@@ -18,7 +18,7 @@ from matplotlib.patches import Patch
 from matplotlib.ticker import LogLocator, NullLocator
 
 from inclined_landing.envs.hover import TOLERANCE
-from inclined_landing.envs.tasks.base import VEHICLE_KINDS
+from inclined_landing.envs.tasks.base import VEHICLE_KINDS, kind_column
 from inclined_landing.eval.base.colours import BLUE, GREEN, MUTED, ORANGE, PURPLE
 from inclined_landing.eval.base.style import styled
 from inclined_landing.models.base import storage
@@ -79,7 +79,7 @@ def _read_run(folder: str | Path) -> _Run:
         raise UserError(f"{folder / 'run.json'} does not name the trained task") from error
     learning = _read_table(folder / "learning.csv", ["steps", *(curve.column for curve in _LEARNING)])
     scores = [curve.column for curve in _SCORES]
-    scores += [f"{column}_{kind}" for column in scores for kind in VEHICLE_KINDS]  # of a randomised run
+    scores += [kind_column(column, kind) for column in scores for kind in VEHICLE_KINDS]
     evaluations = _read_table(folder / "evaluations.csv", ["steps"], scores)
     if not set(scores) & set(evaluations):
         raise UserError(f"{folder / 'evaluations.csv'} lacks the column score")
@@ -190,7 +190,7 @@ def _curriculum_end(learning: pd.DataFrame) -> float:
 
 def _score_columns(curve: Curve, tables: Sequence[pd.DataFrame]) -> dict[str, str]:
     """Return the columns of evaluations to show, and the vehicles of each; "" for all flights."""
-    of_kind = {f"{curve.column}_{kind}": name for kind, name in VEHICLE_KINDS.items()}
+    of_kind = {kind_column(curve.column, kind): name for kind, name in VEHICLE_KINDS.items()}
     return of_kind if all(column in table for column in of_kind for table in tables) else {curve.column: ""}
 
 

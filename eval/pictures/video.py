@@ -64,7 +64,7 @@ def command(
         say_outcomes,
         start_points,
     )
-    from inclined_landing.eval.pictures.frames import FPS, checked_look, film, renderer_for, write_film
+    from inclined_landing.eval.pictures.frames import FPS, checked_look, renderer_for, write_film
 
     storage.check_file(out)
     if out.suffix.lower() not in (".mp4", ".gif"):
@@ -78,10 +78,9 @@ def command(
     most = GIF_FPS if out.suffix.lower() == ".gif" else FPS
     sampled = min(FPS, most * slow)  # there are no more states
     files = {out: 1}
+    if gif and out.suffix.lower() != ".gif":
+        files[out.with_suffix(".gif")] = math.ceil(sampled / slow / GIF_FPS - 1e-9)
     with renderer_for(flights, look) as renderer:
-        frames, total, rate = film(flights, renderer, sampled, slow)
-        if gif and out.suffix.lower() != ".gif":
-            files[out.with_suffix(".gif")] = math.ceil(rate / GIF_FPS - 1e-9)
-        write_film(files, frames, total, rate)
+        write_film(files, flights, renderer, sampled, slow)
     named = {f"flight {k + 1}": flight for k, flight in enumerate(flights)}
     say_outcomes(named, f"the video is {' and '.join(map(str, files))}")

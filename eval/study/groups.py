@@ -17,15 +17,15 @@ import pandas as pd
 
 from inclined_landing.envs.policy import Policy
 from inclined_landing.envs.shared.measures import Measure, count_words
-from inclined_landing.envs.tasks.landing import PAPER_RESULTS
+from inclined_landing.envs.tasks.landing import PAPER_SHARES
 from inclined_landing.envs.tasks.start import joined
 from inclined_landing.eval.study.engine import Case, Panel, Results, Study, View
 from inclined_landing.eval.study.flights import ARRIVAL, SharedFlights, fly_each, policy_facts, slope_words
 from inclined_landing.models.base.errors import UserError
 
 
-def kinds(policies: Mapping[str, Policy]) -> list[dict[str, Policy]]:
-    """Return the policies in groups with the same measures, which share a table."""
+def by_measures(policies: Mapping[str, Policy]) -> list[dict[str, Policy]]:
+    """Return the policies with the same measures together, because they share a table."""
     found: dict[tuple[Measure, ...], dict[str, Policy]] = {}
     for name, policy in policies.items():
         if policy.task.evaluated_by != "success":
@@ -42,7 +42,7 @@ def study(
     thrust_scales: Sequence[float] = (1.0,),
     seed: int = 0,
 ) -> Study:
-    """Return the study of policies of one kind from all groups of starts.
+    """Return the study of policies with the same measures from all groups of starts.
 
     plant: "mujoco", "hybrid" or "analytic", always the plain one (no keep-out zone, RK4 at 4 ms). seed: for
     the random starts.
@@ -99,7 +99,7 @@ def _remarks(policies: Mapping[str, Policy], results: Results) -> list[str]:
         hint = "" if any(row["count"] for row in rows) else _sign_hint(policy)
         remarks.append(f"{name} {'; '.join(parts)}.{hint}")
     if any(policy.task.cut_at_success and not policy.task.observes_slope for policy in policies.values()):
-        shares = " and ".join(f"{100 * result['share']:.1f} %" for result in PAPER_RESULTS)
+        shares = " and ".join(f"{100 * share:.1f} %" for share in PAPER_SHARES)
         remarks.append(f"The paper reports {shares} from its three starts and within 0.1 m around them.")
     return remarks
 

@@ -26,7 +26,7 @@ from inclined_landing.envs.shared.progress import stages
 from inclined_landing.eval.base.options import Look
 from inclined_landing.eval.base.style import save_figure
 from inclined_landing.eval.pictures.figures.mission import mission_figure
-from inclined_landing.eval.pictures.frames import FPS, film, renderer_for, strobe, write_film, write_picture
+from inclined_landing.eval.pictures.frames import FPS, renderer_for, strobe, write_film, write_picture
 from inclined_landing.eval.pictures.starts import read_point
 from inclined_landing.eval.study.engine import Results, Study, View, evaluate, fact
 from inclined_landing.eval.study.flights import policy_facts
@@ -140,8 +140,7 @@ def _draw(missions: Sequence[Mission], look: Look | None, folder: Path) -> Mappi
         return captions
     with renderer_for(missions[:1], look) as renderer:
         write_picture(folder / "flight.png", strobe(missions[0], renderer))
-        frames, total, rate = film(missions[:1], renderer, FPS, 1.0)
-        write_film({folder / "flight.mp4": 1, folder / "flight.gif": 2}, frames, total, rate)
+        write_film({folder / "flight.mp4": 1, folder / "flight.gif": 2}, missions[:1], renderer, FPS)
     return captions | {"flight.png": "The first mission."}
 
 

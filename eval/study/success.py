@@ -63,6 +63,6 @@ def command(
         loaded[name] = its.load(path)
         facts.append(fact(name, "vehicle", str(its.vehicle or "crazyflie.toml")))
     options: dict[str, Any] = {"plant": flown.plant, "thrust_scales": scales, "seed": seed}
-    found = [groups.study(kind, **options) for kind in groups.kinds(loaded)]
+    found = [groups.study(alike, **options) for alike in groups.by_measures(loaded)]
     found[0] = dataclasses.replace(found[0], facts=[*facts, *found[0].facts])
     hand_over("success", run(found), json=json, out=out)

@@ -23,7 +23,7 @@ from inclined_landing.models.base.errors import UserError
 from inclined_landing.models.parameters import load_vehicle, write_vehicle
 from inclined_landing.train import cli, evaluation, ppo, warm_start
 from inclined_landing.train.checkpoint import CHECKPOINT
-from inclined_landing.train.config import CARRIED_ON, ENDING, TrainConfig
+from inclined_landing.train.config import ENDING, MIN_STEPS_CONTINUED, TrainConfig
 from inclined_landing.train.curriculum import Curriculum
 from inclined_landing.train.events import EventFile
 from inclined_landing.train.run import Run, train
@@ -181,12 +181,12 @@ def test_a_run_trains_evaluates_and_resumes_with_its_vehicle_and_slope(tmp_path)
     write_vehicle(file, heavy)
     out, slope = tmp_path / "run", math.radians(15)
     begun = Run(config(out, vehicle=file, inclination=15, max_seconds=1e-6))
-    assert begun.learner.env.env.plant.vehicle == begun.evaluation.plant.vehicle == heavy
+    assert begun.learner.batch.plant.vehicle == begun.evaluation.plant.vehicle == heavy
     assert begun.learner.task.pwm_centre == heavy.hover_pwm
     begun.execute()
     file.unlink()  # the run has a copy
     resumed = Run(TrainConfig(out=out, resume=True))
-    assert resumed.learner.env.env.plant.vehicle == resumed.evaluation.task.vehicle == heavy
+    assert resumed.learner.batch.plant.vehicle == resumed.evaluation.task.vehicle == heavy
     assert resumed.learner.task.inclination == resumed.evaluation.task.inclination == slope
     resumed.execute()
     policy = load_policy(out / "final.zip")
@@ -235,7 +235,7 @@ def test_a_landing_run_that_goes_on_begins_at_the_end_of_its_curriculum(tmp_path
     begun = Run(TrainConfig(out=tmp_path / "a", start_from="landing-nominal", nominal=True))
     assert (
         begun.learner.curriculum.level == 1.0
-        and begun.ending.least_steps == CARRIED_ON > warm_start.CRITIC_FIRST
+        and begun.ending.least_steps == MIN_STEPS_CONTINUED > warm_start.CRITIC_FIRST
     )
     assert begun.learner.curriculum.learning_rate_share(0, None) == 1.0
     begun.learner.curriculum.advance(8192)
@@ -317,7 +317,7 @@ def test_a_randomised_run_is_resumed_bit_for_bit_with_its_copy(tmp_path):
     train(config(out, **options, max_seconds=0.5))
     ranges.unlink()  # the run has its own
     resumed = Run(TrainConfig(out=out, resume=True))
-    assert resumed.learner.env.env.nominal == 0.2 and len(resumed.learner.env.env.plant.pool) == FEW
+    assert resumed.learner.batch.nominal == 0.2 and len(resumed.learner.batch.plant.pool) == FEW
     resumed.execute()
     assert_same_policy(whole / "final.zip", out / "final.zip")
     assert load_policy(out / "final.zip").metadata["ranges"]["body"] == {"mass": [0.03, 0.04]}
@@ -401,7 +401,7 @@ def test_training_applies_the_curriculum_and_evaluation_does_not(tmp_path):
     assert begun.evaluation.task.conditions == type(begun.evaluation.task.conditions)()
     plant = begun.evaluation.plant
     assert plant.keep_out == 0.0 and plant.kind == "hybrid" and plant.attitude == "rate_loop"
-    assert begun.learner.env.env.plant.keep_out == 0.04
+    assert begun.learner.batch.plant.keep_out == 0.04
 
 
 # --- runs that end by success ------------------------------------------------------------------------
@@ -555,8 +555,8 @@ def test_evaluation_starts_are_neither_training_starts_nor_another_seeds(tmp_pat
     assert not np.array_equal(first, judges[1].starts(0).state)
     assert not np.array_equal(first, judges[0].starts(1).state)
     trained = Run(config(tmp_path / "c", seed=0, curriculum="none"))
-    trained.learner.env.reset()
-    assert not set(trained.learner.env.env.plant.state[:, 0]) & set(first[:, 0])
+    trained.learner.batch.reset()
+    assert not set(trained.learner.batch.plant.state[:, 0]) & set(first[:, 0])
 
 
 # --- a policy that observes its vehicle's parameters -------------------------------------------------

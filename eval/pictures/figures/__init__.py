@@ -1,1 +1,1 @@
-"""Figures of trajectories, curricula and missions as vector graphics."""
+"""Figures of trajectories and missions as vector graphics."""
