@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 
@@ -24,7 +23,6 @@ from inclined_landing.eval.study.scenarios import scenarios
 from inclined_landing.eval.study.show import document, show
 from inclined_landing.models.base import storage
 from inclined_landing.models.base.errors import UserError
-from inclined_landing.models.parameters import load_vehicle
 
 _LOOK = Look(camera=FITTED, width=960, height=540)  # of video and picture
 _FPS = 25.0  # half as many as `landing-eval video` shows
@@ -40,15 +38,11 @@ def report(folder: Path, metrics: dict, vehicle: Path | None) -> None:
     training never uses, in the hybrid plant. One number for each condition is added to metrics.json. All
     flights use the run's vehicle.
     """
-
-    def load(policy: str | Path) -> Policy:
-        return load_policy(policy, vehicle=None if vehicle is None else load_vehicle(vehicle))
-
-    final = load(folder / "final.zip")
+    final = load_policy(folder / "final.zip", vehicle=vehicle)
     filmed = in_fork(_film, final, folder)  # a process renders, `filmed()` waits for it
     with ThreadPoolExecutor(1) as pool:  # while the engine flies for the table
         figures = pool.submit(_draw, folder, final)
-        name, study = _study(final, metrics, load)
+        name, study = _study(final, metrics, vehicle)
         results = run([study])
         with progress.stages() as tick:
             tick("figures, picture and film")
@@ -88,21 +82,21 @@ def _film(policy: Policy, folder: Path) -> list[Path]:
     return files
 
 
-def _study(final: Policy, metrics: dict, load: Callable[[str | Path], Policy]) -> tuple[str, Study]:
+def _study(final: Policy, metrics: dict, vehicle: Path | None) -> tuple[str, Study]:
     """Return name and study of a trained policy; a touchdown is shown next to the policy it started from."""
     task = final.task
     if task.evaluated_by == "success":
         scales = _LANDING_SCALES if task.cut_at_success else (1.0,)
         return "success", groups.study({"final": final}, plant="hybrid", thrust_scales=scales)
     if task.evaluated_by == "touchdown":
-        return "touchdown", motor_cut.study(final, _origin(task, metrics["config"]["start_from"], load))
+        return "touchdown", motor_cut.study(final, _origin(task, metrics["config"]["start_from"], vehicle))
     if task.evaluated_by == "robustness --over moving":
         return "moving", moving.study(scenarios(), {final.name: moving.pilot_of(final)})
     raise UserError(f"task {task.name}: no report is known for evaluated_by = {task.evaluated_by!r}")
 
 
-def _origin(task: Task, began: str, load: Callable[[str | Path], Policy]) -> Policy:
+def _origin(task: Task, began: str, vehicle: Path | None) -> Policy:
     """Return the landing policy from which a training started, or the paper's if there was none."""
     is_available = began != DESCENT and (began in SHIPPED or Path(began).exists())
-    origin = load(began) if is_available else None
-    return load(NOMINAL) if origin is None or origin.task.name == task.name else origin
+    origin = load_policy(began if is_available else NOMINAL, vehicle=vehicle)
+    return load_policy(NOMINAL, vehicle=vehicle) if origin.task.name == task.name else origin

@@ -14,7 +14,7 @@ import sys
 from collections.abc import Callable, Sequence
 from pathlib import Path
 
-from inclined_landing.envs.shared.command_line import bound, exit_code, parse, versions
+from inclined_landing.envs.shared.command_line import exit_code, parse, versions
 from inclined_landing.models.base.errors import UserError
 
 # The modules of the commands, by groups; a command has the name of its module or of the package of `command`.
@@ -75,7 +75,7 @@ def _run(words: list[str]) -> int | None:
         wrong = f"unknown command {name!r}" if name else "no command"
         meant = f"; did you mean {near[0]}? See" if near else "; see"
         raise UserError(f"{wrong}{meant} landing-eval --help")
-    return parse(bound(find(name)), f"landing-eval {name}", words[1:])()
+    return parse(find(name), f"landing-eval {name}", words[1:])()
 
 
 def _help() -> str:

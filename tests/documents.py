@@ -13,7 +13,7 @@ from pathlib import Path
 from sybil import Document
 from sybil.parsers.markdown.lexers import RawFencedCodeBlockLexer
 
-from inclined_landing.envs.shared.command_line import bound, help_page, parse
+from inclined_landing.envs.shared.command_line import help_page, parse
 from inclined_landing.eval import cli
 from inclined_landing.train.config import TrainConfig
 from inclined_landing.train.sweep.command import command as sweep
@@ -111,7 +111,7 @@ def check(words: list[str]) -> None:
         assert all(word in known or "=" in word for word in rest), words
     elif words[:3] == VALIDATION:
         assert words[3] in validation.COMMANDS, words
-        parse(bound(validation.COMMANDS[words[3]]), " ".join(words[:4]), words[4:])
+        parse(validation.COMMANDS[words[3]], " ".join(words[:4]), words[4:])
     elif program == "python" and rest[0].endswith(".py"):
         assert (ROOT / rest[0]).is_file(), words
     elif "pytest" in program:
@@ -128,17 +128,17 @@ def check(words: list[str]) -> None:
 def _target(program: str, rest: list[str]):
     """What the words of a command are parsed into; None for those of a program itself (--help, --version)."""
     if program == "tests.validation":
-        return bound(validation.COMMANDS[rest[0]])
+        return validation.COMMANDS[rest[0]]
     if rest and rest[0] in ("--version",):  # of either program
         return None
     if program == "landing-train" and rest[:1] == ["sweep"]:
-        return bound(sweep)
+        return sweep
     if program == "landing-train":
         return TrainConfig
     if not rest or rest[0].startswith("-"):
         return None
     assert rest[0] in cli.COMMANDS, f"landing-eval has no command {rest[0]}"
-    return bound(cli.find(rest[0]))
+    return cli.find(rest[0])
 
 
 def check_span(text: str) -> None:

@@ -38,7 +38,7 @@ def _train(arguments: list[str]) -> int:
     if arguments and arguments[0] == "sweep":
         from inclined_landing.train.sweep.command import command
 
-        return command_line.parse(command_line.bound(command), "landing-train sweep", arguments[1:])()
+        return command_line.parse(command, "landing-train sweep", arguments[1:])()
     from inclined_landing.train.config import TrainConfig, flag_of
 
     if any(word in ("-h", "--help", "--help-all") for word in arguments):

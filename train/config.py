@@ -177,7 +177,57 @@ class TrainConfig:
 
     def resolved(self) -> TrainConfig:
         """Return a copy with every default filled in and every value checked; raises UserError."""
-        return resolve(self)
+        from inclined_landing.envs.policy import trained_options
+        from inclined_landing.envs.tasks import import_task, is_path, task_class
+
+        schema.check(self, None, flag_of)
+        config = dataclasses.replace(self, task=self.task or "landing")
+        kind = import_task(config.task) if is_path(config.task) else task_class(config.task)
+        try:
+            kind.training.check()
+        except UserError as error:  # of a task of one's own
+            raise UserError(f"task {shown(config.task, 60)}, its training: {error}") from error
+        for name in config.task_options():
+            if name not in kind.option_names():
+                raise UserError(f"{flag_of(name)} does not apply to the task {kind.name}")
+
+        # In the plane, unless the task draws vehicles in space alone and nothing asks for the plane.
+        dimensions, start = config.dimensions, config.start_from
+        if dimensions is None and not config.nominal and kind.draws_vehicles_in == (3,):
+            in_space = start in (None, DESCENT) or trained_options(start).get("dimensions") == 3
+            dimensions = 3 if in_space else None
+
+        if config.nominal and config.randomise is not None:
+            raise UserError("--nominal and --randomise cannot be combined")
+        usual = _usual(config, kind, dimensions or 2)
+        randomise = config.randomise or usual.randomise
+
+        values = _with_defaults(config, usual)
+
+        # Training that continues from a policy keeps its actions and network; in the same task, its history.
+        policy = None if values["start_from"] == DESCENT else values["start_from"]
+        same_task = _is_of(policy, kind)
+        before = trained_options(policy) if policy is not None and same_task else {}
+        values |= _ending(config, usual)
+        if same_task and config.history is None:
+            values["history"] = before.get("history", 0)
+        values["observe_vehicle"] = config.observe_vehicle or bool(before.get("observe_vehicle"))
+        values |= _action_map(config, policy, usual.all_commands)
+        values["net_arch"] = tuple(config.net_arch or _net_arch(policy) or NET_ARCH)
+
+        samples = values["environments"] * values["rollout"]
+        if samples == 1:
+            raise UserError("--environments and --rollout must give more than one sample")
+        values["batch_size"] = min(values["batch_size"], samples)
+        if samples % values["batch_size"] == 1:
+            raise UserError("--batch-size leaves a last minibatch of one sample; choose another")
+        values |= {
+            "dimensions": dimensions,
+            "out": Path(config.out or f"runs/{kind.name}-{config.seed}"),
+            "vehicle": None if config.vehicle is None else Path(config.vehicle),
+            "randomise": None if randomise is None else Path(randomise),
+        }
+        return dataclasses.replace(config, **values)
 
     @property
     def is_planar(self) -> bool:
@@ -237,61 +287,6 @@ class TrainConfig:
 
 
 # --- resolving --------------------------------------------------------------------------------------
-
-
-def resolve(config: TrainConfig) -> TrainConfig:
-    """Return a copy with every default filled in and all values checked; raises UserError."""
-    from inclined_landing.envs.policy import trained_options
-    from inclined_landing.envs.tasks import import_task, is_path, task_class
-
-    schema.check(config, None, flag_of)
-    config = dataclasses.replace(config, task=config.task or "landing")
-    kind = import_task(config.task) if is_path(config.task) else task_class(config.task)
-    try:
-        kind.training.check()
-    except UserError as error:  # of a task of one's own
-        raise UserError(f"task {shown(config.task, 60)}, its training: {error}") from error
-    for name in config.task_options():
-        if name not in kind.option_names():
-            raise UserError(f"{flag_of(name)} does not apply to the task {kind.name}")
-
-    # In the plane, unless the task draws vehicles in space alone and nothing asks for the plane.
-    dimensions, start = config.dimensions, config.start_from
-    if dimensions is None and not config.nominal and kind.draws_vehicles_in == (3,):
-        in_space = start in (None, DESCENT) or trained_options(start).get("dimensions") == 3
-        dimensions = 3 if in_space else None
-
-    if config.nominal and config.randomise is not None:
-        raise UserError("--nominal and --randomise cannot be combined")
-    usual = _usual(config, kind, dimensions or 2)
-    randomise = config.randomise or usual.randomise
-
-    values = _with_defaults(config, usual)
-
-    # Training that continues from a policy keeps its actions and network; for the same task, its history too.
-    policy = None if values["start_from"] == DESCENT else values["start_from"]
-    same_task = _is_of(policy, kind)
-    before = trained_options(policy) if policy is not None and same_task else {}
-    values |= _ending(config, usual)
-    if same_task and config.history is None:
-        values["history"] = before.get("history", 0)
-    values["observe_vehicle"] = config.observe_vehicle or bool(before.get("observe_vehicle"))
-    values |= _action_map(config, policy, usual.all_commands)
-    values["net_arch"] = tuple(config.net_arch or _net_arch(policy) or NET_ARCH)
-
-    samples = values["environments"] * values["rollout"]
-    if samples == 1:
-        raise UserError("--environments and --rollout must give more than one sample")
-    values["batch_size"] = min(values["batch_size"], samples)
-    if samples % values["batch_size"] == 1:
-        raise UserError("--batch-size leaves a last minibatch of one sample; choose another")
-    values |= {
-        "dimensions": dimensions,
-        "out": Path(config.out or f"runs/{kind.name}-{config.seed}"),
-        "vehicle": None if config.vehicle is None else Path(config.vehicle),
-        "randomise": None if randomise is None else Path(randomise),
-    }
-    return dataclasses.replace(config, **values)
 
 
 def _is_of(policy: str | None, task: type[Task] | Task) -> bool:

@@ -62,7 +62,7 @@ class PeriodicEvaluation:
         """Fly the learner's deterministic policy, keep the file of the best one, and return the score."""
         learner.clock.switch("evaluation")
         with learner.averaged():
-            score = self.score(learner.policy(self.task), len(self.rows))
+            score = self.fly(learner.policy(self.task), len(self.rows))
         if not self.rows or score["score"] >= max(row["score"] for row in self.rows):
             self.best = learner.policy_file()
             storage.write_bytes(learner.config.folder / "best.zip", self.best)
@@ -81,7 +81,7 @@ class PeriodicEvaluation:
         starts.state[:, LAG] *= self.plant.hover_share
         return starts
 
-    def score(self, policy: Policy, number: int) -> dict:
+    def fly(self, policy: Policy, number: int) -> dict:
         """Return the task's score of flights from the starts of one of the run's evaluations."""
         task, starts = self.task, self.starts(number)
         flights = record_flights(

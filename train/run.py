@@ -41,7 +41,7 @@ from inclined_landing.train.ending import COMPLETE, Ending
 from inclined_landing.train.evaluation import PeriodicEvaluation
 from inclined_landing.train.events import EventFile
 from inclined_landing.train.learner import Learner
-from inclined_landing.train.record import RECORD, as_csv, cannot_continue, new_record, stored
+from inclined_landing.train.record import RECORD, as_csv, cannot_continue, new_record, run_to_resume
 
 VEHICLE = COPIED["vehicle"]
 NOT_REACHED = 3  # exit code
@@ -62,7 +62,7 @@ class Run:
     """The state of one training run; `execute` runs it to the end.
 
     The constructor reads and checks everything, and changes nothing on disk. `metrics` are the results of a
-    finished run, otherwise None. given: as in `record.stored`.
+    finished run, otherwise None. given: as in `record.run_to_resume`.
     """
 
     def __init__(self, config: TrainConfig, given: Container[str] = ()):
@@ -76,7 +76,7 @@ class Run:
                 "another name"
             ) from error
         if config.resume:
-            self.config, self.record = stored(dataclasses.replace(config, out=self.folder), given)
+            self.config, self.record = run_to_resume(dataclasses.replace(config, out=self.folder), given)
         else:
             self.config, self.record = resolved, new_record(resolved)
         ppo.check_memory(self.config)
@@ -88,10 +88,10 @@ class Run:
             if not self.resumed:
                 raise
             raise cannot_continue(self.folder / RECORD, error) from error
-        self.begun_at: int | None = None  # the iteration of the checkpoint that was resumed
+        self.resumed_at: int | None = None  # the iteration of the checkpoint that was resumed
         if saved is not None:
             checkpoint.resume(saved, self.learner, self.evaluation, self.record["config"])
-            self.begun_at = self.learner.steps // self.config.per_iteration
+            self.resumed_at = self.learner.steps // self.config.per_iteration
         # Only now: `checkpoint.resume` replaces both lists of rows, and the ending follows them as they grow.
         learner, rows = self.learner, self.evaluation.rows
         least = self.config.least_steps(learner.task)
@@ -112,7 +112,7 @@ class Run:
                 return self.metrics
             try:
                 self._prepare_folder()
-                if self.begun_at is None:
+                if self.resumed_at is None:
                     self.learner.teach()
                 self._learn()
                 return self._end()
@@ -126,7 +126,7 @@ class Run:
     def _prepare_folder(self) -> None:
         """Write the first files of a new run, or restore the folder to its content at the checkpoint."""
         storage.write_json(self.folder / RECORD, self.record)
-        if self.begun_at is None:  # new, or stopped before the first checkpoint
+        if self.resumed_at is None:  # new, or stopped before the first checkpoint
             for file, source in self.config.copied().items():
                 if source != self.folder / file:
                     storage.write_bytes(self.folder / file, source.read_bytes())
@@ -140,16 +140,16 @@ class Run:
     def _learn(self) -> None:
         """Train until the end, in SB3's `learn`: all else, the end of a run too, is done by callbacks."""
         config, learner, model = self.config, self.learner, self.learner.model
-        begun, resumed = learner.steps, self.begun_at is not None
-        events = EventFile(self.folder / "tensorboard", begun if resumed else None)
+        done, resumed = learner.steps, self.resumed_at is not None
+        events = EventFile(self.folder / "tensorboard", done if resumed else None)
         model.set_logger(Logger(str(self.folder), [events]))
-        remaining = 0 if self.ending.reached(begun) else config.most_steps() - begun
+        remaining = 0 if self.ending.reached(done) else config.most_steps() - done
         whole = math.ceil(remaining / config.per_iteration) * config.per_iteration
         learner.clock.switch("training")
         try:
             if remaining > 0:
                 steps = "steps" if config.success is None else "steps at most"
-                with stages(config.most_steps(), steps, begun) as tick:
+                with stages(config.most_steps(), steps, done) as tick:
                     model.learn(whole, self._callbacks(tick), log_interval=1, reset_num_timesteps=not resumed)
         except _Ended:
             pass
@@ -164,7 +164,7 @@ class Run:
         """
         config, learner = self.config, self.learner
         assert config.learning_rate is not None and config.evaluate_every is not None
-        first = 0 if self.begun_at is None else self.begun_at + 1
+        first = 0 if self.resumed_at is None else self.resumed_at + 1
 
         def every(interval: int, action, least: int = 1) -> Every:
             return Every(interval, action, config.per_iteration, max(least, first))

@@ -11,7 +11,7 @@ from importlib import resources
 import numpy as np
 
 from inclined_landing.envs.history import input_names
-from inclined_landing.envs.shared.command_line import bound, help_page
+from inclined_landing.envs.shared.command_line import help_page
 from inclined_landing.envs.spaces import action_space, observation_space
 from inclined_landing.envs.tasks import TASKS, Task, make_task
 from inclined_landing.envs.tasks import manual as task_manual
@@ -61,10 +61,10 @@ def commands() -> str:
             ],
         ),
         _section("landing-train", help_page(TrainConfig, "landing-train")),
-        _section("landing-train sweep", help_page(bound(sweep), "landing-train sweep")),
+        _section("landing-train sweep", help_page(sweep, "landing-train sweep")),
     ]
     for name in cli.COMMANDS:
-        parts.append(_section(name, help_page(bound(cli.find(name)), f"landing-eval {name}")))
+        parts.append(_section(name, help_page(cli.find(name), f"landing-eval {name}")))
     return "\n".join(parts)
 
 

@@ -42,7 +42,8 @@ _UNWRITABLE = (errno.ENOSPC, errno.EDQUOT, errno.EFBIG, errno.EIO, errno.EBADF)
 def parse(target: Callable, prog: str, arguments: Sequence[str] | None = None) -> Any:
     """Return the result of `target` for the words of a command line (default: those of this process).
 
-    target: a dataclass, or a function from `bound`; its signature and docstring are options and help.
+    target: a dataclass, or a command, of which the `Call` is returned; its signature and docstring are
+    options and help.
     Raises UserError for words that do not fit; --help is printed and raises SystemExit(0).
     """
     import tyro
@@ -63,7 +64,8 @@ def parse(target: Callable, prog: str, arguments: Sequence[str] | None = None) -
     words = _positionals_first(arguments, _choices(target))
     try:
         with contextlib.redirect_stderr(message), contextlib.redirect_stdout(page):
-            made = tyro.cli(target, prog=prog, args=words, config=_config())
+            made_by = target if isinstance(target, type) else bound(target)
+            made = tyro.cli(made_by, prog=prog, args=words, config=_config())
     except SystemExit as end:
         if end.code:
             raise UserError(_sentence(message.getvalue(), prog)) from end

@@ -33,7 +33,7 @@ def command(
     from inclined_landing.envs.shared import pool, runs
     from inclined_landing.envs.shared.tables import say
     from inclined_landing.eval.landings import report
-    from inclined_landing.eval.landings.run import PARTS, RECORD, begun, landed
+    from inclined_landing.eval.landings.run import PARTS, RECORD, begin_study, landings_of
     from inclined_landing.eval.landings.study import read_study
     from inclined_landing.eval.study.show import document, show, write
     from inclined_landing.models.parameters import load_vehicle
@@ -43,8 +43,8 @@ def command(
     if resume and not (out / RECORD).is_file():
         raise UserError(f"nothing to resume: {out} contains no {RECORD}")
     with runs.owned(out, RECORD if resume else None):
-        wanted = begun(wanted, out, resume)
-        table = landed(wanted, out, engine, address)
+        wanted = begin_study(wanted, out, resume)
+        table = landings_of(wanted, out, engine, address)
         results = [report.count(wanted, table.to_pandas())]
         write(out, results, document("landings", results), flights=False)
         shutil.rmtree(out / PARTS, ignore_errors=True)

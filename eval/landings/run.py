@@ -33,7 +33,7 @@ RECORD, TABLE, PARTS = "study.json", "results.parquet", "parts"
 CHUNK = 500  # landings
 
 
-def begun(wanted: LandingStudy, out: Path, resume: bool) -> LandingStudy:
+def begin_study(wanted: LandingStudy, out: Path, resume: bool) -> LandingStudy:
     """Return the study with its start states, written to its folder or read from there."""
     if resume:
         storage.remove_parts(out)
@@ -50,7 +50,7 @@ def begun(wanted: LandingStudy, out: Path, resume: bool) -> LandingStudy:
     return wanted
 
 
-def landed(study: LandingStudy, out: Path, engine: str, address: str | None) -> pa.Table:
+def landings_of(study: LandingStudy, out: Path, engine: str, address: str | None) -> pa.Table:
     """Return all landings of a study; those that are not in the folder are simulated."""
     table = _read(out / TABLE, range(study.total))
     return _simulated(study, out, engine, address) if table is None else table

@@ -55,7 +55,7 @@ def options_of(command) -> dict[str, tuple[tuple, bool]]:
 def parsed(line: str):
     name, *words = line.split()
     target = COMMANDS[name]
-    return command_line.parse(command_line.bound(target), name, words)
+    return command_line.parse(target, name, words)
 
 
 @pytest.mark.parametrize("line", REFUSED)

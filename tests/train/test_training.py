@@ -418,7 +418,7 @@ def scores(monkeypatch):
         return {"score": said.pop(0) if len(said) > 1 else said[0]}
 
     monkeypatch.setattr(evaluation, "ENDING_STARTS", 2)
-    monkeypatch.setattr(evaluation.PeriodicEvaluation, "score", score)
+    monkeypatch.setattr(evaluation.PeriodicEvaluation, "fly", score)
     return said
 
 
@@ -458,7 +458,7 @@ def test_on_varied_vehicles_a_run_learns_again_until_it_lands_them_too(tmp_path,
         one, other = next(scores)
         return {"score": other, "score_nominal": one, "score_varied": other}
 
-    monkeypatch.setattr(evaluation.PeriodicEvaluation, "score", score)
+    monkeypatch.setattr(evaluation.PeriodicEvaluation, "fly", score)
     again: list[int] = []
     options = OPEN | {"evaluate_every": 1, "randomise": Path("robust")}
     set_least_steps(0, monkeypatch)

@@ -17,7 +17,7 @@ from msgspec import Meta
 
 from inclined_landing.envs.shared import pool
 from inclined_landing.envs.shared import runs as run_folders
-from inclined_landing.envs.shared.command_line import bound, parse
+from inclined_landing.envs.shared.command_line import parse
 from inclined_landing.models.base import storage
 from inclined_landing.models.base.errors import UserError, shown
 from inclined_landing.train.config import TrainConfig
@@ -90,7 +90,7 @@ class Sweep:
                             parse(TrainConfig, program, words).resolved()
                         else:
                             look_up(REPORT)  # the packages that evaluation imports when it runs
-                            parse(bound(look_up("cli.find")(words[0])), f"{program} {words[0]}", words[1:])
+                            parse(look_up("cli.find")(words[0]), f"{program} {words[0]}", words[1:])
                 except (UserError, KeyError, SystemExit) as error:
                     why = error if isinstance(error, UserError) else f"unknown command {shown(words[0], 40)}"
                     raise UserError(f"{shown(line, 100)}: {why}") from error

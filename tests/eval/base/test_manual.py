@@ -7,7 +7,6 @@ import pytest
 
 from inclined_landing.envs.rendering import CAMERAS
 from inclined_landing.envs.shared import command_line
-from inclined_landing.envs.shared.command_line import bound
 from inclined_landing.eval import cli, demo
 from inclined_landing.eval.base.options import FITTED, Look
 from inclined_landing.train.cli import main as train
@@ -22,8 +21,7 @@ def pages() -> dict[str, str]:
     with pytest.MonkeyPatch.context() as patch:
         patch.setenv("COLUMNS", "100")
         found = {
-            name: command_line.help_page(bound(cli.find(name)), f"landing-eval {name}")
-            for name in cli.COMMANDS
+            name: command_line.help_page(cli.find(name), f"landing-eval {name}") for name in cli.COMMANDS
         }
         return found | {"landing-train": command_line.help_page(TrainConfig, "landing-train")}
 
