@@ -339,7 +339,7 @@ class BatchEnv:
             raise TaskError(f"task {self.task.name}: the reward of a step is NaN or infinite")
         self.total += reward
         terminated = verdict.terminated
-        truncated = ((self.length >= self.task.max_steps) | verdict.cut) & ~terminated
+        truncated = ((self.length >= self.task.max_steps) | verdict.truncated) & ~terminated
         if self.by_failure and (ended := terminated | truncated).any():
             self._count_failures(ended, verdict.success)
         return Step(self.observe(), reward, terminated, truncated, verdict.success, verdict.terms)

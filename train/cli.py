@@ -13,6 +13,8 @@ from inclined_landing.models.base.errors import UserError, shown
 if TYPE_CHECKING:
     from inclined_landing.train.run import Run
 
+NOT_REACHED = 3  # exit code
+
 
 def main(arguments: list[str] | None = None) -> int:
     """Run `landing-train` and return its exit code.
@@ -45,7 +47,7 @@ def _train(arguments: list[str]) -> int:
         print(help_page("--help-all" in arguments))
         return 0
     config = command_line.parse(TrainConfig, "landing-train", arguments)
-    from inclined_landing.train.run import NOT_REACHED, Run
+    from inclined_landing.train.run import Run
 
     # The options that were typed: with --resume only these may contradict the run.
     flags = command_line.given(arguments)
@@ -85,8 +87,8 @@ def help_page(complete: bool) -> str:
 
 def _report(run: Run, metrics: dict) -> None:
     """Report on a run that has ended, or print why there is no report."""
+    from inclined_landing.train.config import COPIED
     from inclined_landing.train.record import REPORT, look_up
-    from inclined_landing.train.run import VEHICLE
 
     try:
         report = look_up(REPORT)
@@ -94,5 +96,5 @@ def _report(run: Run, metrics: dict) -> None:
         again = "; after that, the same command with --resume writes it"
         print(f"landing-train: no report, because {error}{again}", file=sys.stderr)
         return
-    vehicle = run.folder / VEHICLE if run.config.vehicle is not None else None
+    vehicle = run.folder / COPIED["vehicle"] if run.config.vehicle is not None else None
     report(run.folder, metrics, vehicle)

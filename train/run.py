@@ -36,15 +36,13 @@ from inclined_landing.train.callbacks import (
     Every,
     LearningCurve,
 )
-from inclined_landing.train.config import COPIED, TrainConfig
+from inclined_landing.train.config import TrainConfig
 from inclined_landing.train.ending import COMPLETE, Ending
 from inclined_landing.train.evaluation import PeriodicEvaluation
 from inclined_landing.train.events import EventFile
 from inclined_landing.train.learner import Learner
 from inclined_landing.train.record import RECORD, as_csv, cannot_continue, new_record, run_to_resume
 
-VEHICLE = COPIED["vehicle"]
-NOT_REACHED = 3  # exit code
 TARGET = 0.99  # success that "time to 99 %" means
 
 
@@ -164,10 +162,10 @@ class Run:
         """
         config, learner = self.config, self.learner
         assert config.learning_rate is not None and config.evaluate_every is not None
-        first = 0 if self.resumed_at is None else self.resumed_at + 1
+        undone = 0 if self.resumed_at is None else self.resumed_at + 1
 
-        def every(interval: int, action, least: int = 1) -> Every:
-            return Every(interval, action, config.per_iteration, max(least, first))
+        def every(interval: int, action, first: int = 1) -> Every:
+            return Every(interval, action, config.per_iteration, max(first, undone))
 
         self.curve = LearningCurve(
             learner.history, learner.curriculum, learner.clock, tick, config.most_steps()
@@ -176,7 +174,7 @@ class Run:
             CurriculumCallback(learner.curriculum, config.steps, config.learning_rate),
             self.curve,
             every(config.evaluate_every, self._evaluate_or_end),
-            every(config.checkpoint_every, self.checkpoint, least=0),
+            every(config.checkpoint_every, self.checkpoint, first=0),
         ]
         if learner.averages is not None:
             callbacks.append(Averaging(learner.averages))

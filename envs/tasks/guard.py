@@ -87,7 +87,7 @@ def check_step(task: Task) -> None:
         raise TaskError(f"{what}: evaluate returned {shown(repr(found), 40)}, not an Evaluation of terms")
     for name, term in found.terms.items():
         _numbers(term, (n,), f"{what}: evaluate's term {shown(name, 40)}")
-    for name in ("success", "terminated", "cut", *(["holding"] if found.holding is not None else [])):
+    for name in ("success", "terminated", "truncated", *(["holding"] if found.holding is not None else [])):
         if _numbers(getattr(found, name), (n,), f"{what}: evaluate's {name}").dtype != bool:
             raise TaskError(f"{what}: evaluate's {name} must be boolean")
 

@@ -65,7 +65,7 @@ def with_starts(study: LandingStudy) -> LandingStudy:
         return study
     from inclined_landing.envs.flights import record_flights
     from inclined_landing.envs.policy import load_policy
-    from inclined_landing.envs.tasks import frozen as landing_starts
+    from inclined_landing.envs.tasks import frozen
 
     policy = load_policy(study.policy, "landing", vehicle=study.vehicle)
     inclination = known_parameters(study.vehicle)["inclination"].default
@@ -74,7 +74,7 @@ def with_starts(study: LandingStudy) -> LandingStudy:
             f"policy {study.policy} was trained for {math.degrees(policy.task.inclination):.1f} deg; "
             f"a study can start only from one for {-math.degrees(inclination):.1f} deg"
         )
-    grid = landing_starts.clear(policy.task, landing_starts.grid())
+    grid = frozen.clear(policy.task, frozen.grid())
     flights = record_flights(policy, "mujoco", hover_states(grid, policy.task.vehicle))
     entries = [flight.state[-1] for flight in flights if flight.strict]
     if not entries:

@@ -149,17 +149,17 @@ class VariantChoice:
 
     vehicle: Vehicle
     pool: Sequence[Vehicle] = ()
-    choice: np.ndarray = dataclasses.field(default_factory=lambda: np.zeros(1, int))  # see `Plant.assign`
-    thrust_scale: np.ndarray = dataclasses.field(default_factory=lambda: np.ones(1))  # like `choice`
+    number: np.ndarray = dataclasses.field(default_factory=lambda: np.zeros(1, int))  # see `Plant.assign`
+    thrust_scale: np.ndarray = dataclasses.field(default_factory=lambda: np.ones(1))  # like `number`
 
     def __getitem__(self, ids) -> VariantChoice:
         """Return the choice of the flights `ids`."""
-        return dataclasses.replace(self, choice=self.choice[ids], thrust_scale=self.thrust_scale[ids])
+        return dataclasses.replace(self, number=self.number[ids], thrust_scale=self.thrust_scale[ids])
 
     def begin(self, plant: P) -> P:
         """Give a plant of its `vehicle` and `pool` the chosen vehicles and the scales of their thrust."""
         if self.pool:
-            plant.assign(np.arange(plant.n), self.choice)
+            plant.assign(np.arange(plant.n), self.number)
         if (self.thrust_scale != 1.0).any():
             plant.set_thrust_scale(self.thrust_scale)
         return plant

@@ -72,8 +72,8 @@ def test_reward_values_are_the_papers():
 def test_the_goal_ends_the_episode_with_success_and_nothing_else_does():
     verdict = judge(GOAL, at(1, 1.8), at(3.5, 2.5))
     assert verdict.success.tolist() == verdict.terminated.tolist() == [True, False, False]
-    assert not verdict.cut.any()
-    assert not judge(at(1, 1), near=True, in_contact=500).cut.any()  # the task itself never cuts
+    assert not verdict.truncated.any()
+    assert not judge(at(1, 1), near=True, in_contact=500).truncated.any()  # the task itself never cuts
 
 
 @pytest.mark.parametrize("d", [0.10, 0.25])
@@ -216,9 +216,9 @@ def test_starts_that_cannot_be_found_are_an_error():
 def test_a_penalty_ends_episodes_out_of_bounds_and_costs_their_return():
     far, fallen = at(3.8, 1.5), at(1.0, 0.03)
     kept = judge(fallen, far, conditions=LandingConditions(leave_limit=0.3))
-    assert kept.cut.tolist() == [False, True] and not kept.terminated.any()
+    assert kept.truncated.tolist() == [False, True] and not kept.terminated.any()
     priced = judge(far, GOAL, at(1, 1.8), conditions=AIDED)
-    assert priced.terminated.tolist() == [True, True, False] and not priced.cut.any()
+    assert priced.terminated.tolist() == [True, True, False] and not priced.truncated.any()
     assert priced.success.tolist() == [False, True, False]
     assert priced.terms["out_of_bounds"].tolist() == [-AIDED.out_of_bounds_penalty, 0, 0]
     assert judge(fallen, near=True, surface=2, conditions=AIDED).terminated.all()  # on the floor
@@ -232,9 +232,9 @@ def test_a_penalty_ends_episodes_out_of_bounds_and_costs_their_return():
 def test_contact_limit_cuts_but_never_a_success():
     aid = LandingConditions(contact_limit=8)
     away = at(1.0, 1.2)
-    assert not judge(away, near=True, conditions=aid, in_contact=7).cut.any()
+    assert not judge(away, near=True, conditions=aid, in_contact=7).truncated.any()
     verdict = judge(away, GOAL, near=True, conditions=aid, in_contact=8)
-    assert verdict.cut.tolist() == [True, False]
+    assert verdict.truncated.tolist() == [True, False]
     assert verdict.terminated.tolist() == [False, True]
 
 

@@ -49,7 +49,7 @@ def test_terms_sum_to_the_reward_and_none_is_positive(motion, angles, action):
     assert verdict.reward[0] == sum(term[0] for term in verdict.terms.values())
     assert all(term[0] <= 0 for term in verdict.terms.values())
     assert set(verdict.terms) == {"position", "velocity", "attitude", "effort"}
-    assert not verdict.terminated.any() and not verdict.cut.any()
+    assert not verdict.terminated.any() and not verdict.truncated.any()
 
 
 @pytest.mark.parametrize("distance, success", [(0.0, True), (0.0499, True), (0.0501, False)])
@@ -63,7 +63,7 @@ def test_conditions_ease_the_effort_and_shorten_episodes():
     assert task.conditions == setpoint.SetpointConditions(setpoint.EFFORT_FLOOR, Setpoint.max_steps)
     task.conditions = setpoint.SetpointConditions(effort_floor=0.5, episode_limit=150)
     assert judge(state(), [0, 1, 0], task).reward[0] == pytest.approx(-0.1 / 0.5)
-    cuts = [judge(state(), [0, 0, 0], task, length).cut[0] for length in (149, 150, 151)]
+    cuts = [judge(state(), [0, 0, 0], task, length).truncated[0] for length in (149, 150, 151)]
     assert cuts == [False, True, True]
 
 

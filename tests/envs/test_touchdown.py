@@ -87,13 +87,13 @@ def test_near_the_bounds_and_training_aids():
     state[0, X] = 3.38
     assert terms(judge(state, FLY, ())) == {"time": -1.0, "bounds": -1.0}
     aids = TouchdownConditions(contact_limit=8, leave_limit=0.3)
-    assert judge(touching=((0, 1),), conditions=aids).cut[0]
+    assert judge(touching=((0, 1),), conditions=aids).truncated[0]
     priced = judge(
         touching=((0, 1),), conditions=TouchdownConditions(contact_limit=8, out_of_bounds_penalty=150.0)
     )
-    assert priced.terminated[0] and not priced.cut[0] and not priced.success[0]
+    assert priced.terminated[0] and not priced.truncated[0] and not priced.success[0]
     assert terms(priced) == {"time": -1.0, "obstacle": -6.0, "out_of_bounds": -150.0}
-    assert not judge(conditions=aids).cut[0]  # feet may stay as long as they like
+    assert not judge(conditions=aids).truncated[0]  # feet may stay as long as they like
 
 
 def test_only_the_mujoco_plant_can_judge():

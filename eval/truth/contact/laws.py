@@ -29,7 +29,6 @@ GRIP = 1.6  # friction that holds the vehicle on every supported slope (tan 50 d
 FALL = 0.6  # s of a random drop, unless it is decided before
 HELD = 2.0 * contact.CONTACT_TIME[1]  # s; no contact spring holds energy for as long
 STUDY_TIME = 0.02  # s, contact time of the settings that are compared
-FASTEST = contact.FASTEST  # m/s
 RESTITUTIONS = (0.0, 0.1, 0.2, 0.3, 0.4, 0.5, 0.6)
 CONTACT_TIMES = (0.012, 0.016, 0.02, 0.024)
 STEPS = (0.004, 0.002, 0.001, 0.0005)
@@ -212,7 +211,7 @@ def convergence(vehicle: Vehicle) -> Section:
 
 def tumbling(vehicle: Vehicle, n: int = 100, dropped: int = 1000) -> Section:
     """Measure the energy gain of passive drops in random attitudes, and how many pass through the slab."""
-    speeds = (0.5, 1.0, 2.0, 4.0, FASTEST)
+    speeds = (0.5, 1.0, 2.0, 4.0, contact.FASTEST)
     settings = (None, *RESTITUTIONS[::3])
     growth = np.zeros((len(settings), len(speeds)))
     share = np.zeros_like(growth)
@@ -224,7 +223,7 @@ def tumbling(vehicle: Vehicle, n: int = 100, dropped: int = 1000) -> Section:
             growth[i, j], share[i, j] = gain.max(), (gain > 0.01).mean()
     rng = np.random.default_rng(1)
     slope = -rng.uniform(0.0, vehicle.platform_max_inclination, dropped)
-    speed = rng.uniform(1.0, FASTEST, dropped)
+    speed = rng.uniform(1.0, contact.FASTEST, dropped)
     restitutions = rng.uniform(*contact.RESTITUTION, dropped)
     times = rng.uniform(*contact.CONTACT_TIME, dropped)
     spring = {"solref": contact.solref(restitutions, times, vehicle.environment_gravity)}
@@ -246,7 +245,7 @@ def tumbling(vehicle: Vehicle, n: int = 100, dropped: int = 1000) -> Section:
             "springiest": 100 * float(share[-1].max()),
             **through,
         },
-        {"n": n, "dropped": dropped, "fastest": FASTEST, "held": 1e3 * HELD},
+        {"n": n, "dropped": dropped, "fastest": contact.FASTEST, "held": 1e3 * HELD},
         data={
             "speeds": speeds,
             "settings": [s if s is not None else "default" for s in settings],

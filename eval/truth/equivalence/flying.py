@@ -8,8 +8,7 @@ import numpy as np
 
 from inclined_landing.envs.batch import BatchEnv
 from inclined_landing.envs.policy import Policy
-from inclined_landing.envs.tasks import frozen as landing_starts
-from inclined_landing.envs.tasks import hover_states
+from inclined_landing.envs.tasks import frozen, hover_states
 from inclined_landing.eval.truth.report import Words
 from inclined_landing.models.attitude import (
     LAG,
@@ -149,7 +148,7 @@ def _recorded(v: Vehicle, n: int, rng, policy: Policy, planar: bool) -> np.ndarr
 
     In 3-D the roll commands are the pitch commands of another flight, with a smooth turn in yaw.
     """
-    starts = landing_starts.grid()
+    starts = frozen.grid()
     starts = starts[rng.permutation(len(starts))[:n]]
     starts = np.resize(starts, (n, 2))
     env = BatchEnv(policy.task, make_plant("analytic", n, v), seed=0)

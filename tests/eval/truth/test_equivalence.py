@@ -15,7 +15,7 @@ import pytest
 
 from inclined_landing.envs.flights import record_flights
 from inclined_landing.envs.policy import load_policy
-from inclined_landing.envs.tasks import frozen as landing_starts
+from inclined_landing.envs.tasks import frozen
 from inclined_landing.eval import cli
 from inclined_landing.eval.base.claims import Claim, Section, number
 from inclined_landing.eval.truth.equivalence import (
@@ -117,7 +117,7 @@ def test_the_search_for_contacts_changes_no_bit_in_the_air(steps):
 
 
 def test_closed_loop_in_both_plants(policy):
-    starts = landing_starts.clear(policy.task, landing_starts.grid())[::6]
+    starts = frozen.clear(policy.task, frozen.grid())[::6]
     part = closed_loop.section(policy, starts)
     check(part.claims)
     assert len(part.data["plants"]) == 4 and len(part.data["comparisons"]) == 3
@@ -128,7 +128,7 @@ def test_a_policy_that_does_not_land_fails_the_claim(policy, monkeypatch):
         return [dataclasses.replace(f, success=False) for f in record_flights(policy, plant, states, steps=2)]
 
     monkeypatch.setattr(closed_loop, "record_flights", short)
-    part = closed_loop.section(policy, landing_starts.grid()[:4])
+    part = closed_loop.section(policy, frozen.grid()[:4])
     assert not part.passed and not part.data["comparisons"]
 
 
