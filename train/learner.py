@@ -11,7 +11,6 @@ from inclined_landing.envs.policy import Policy
 from inclined_landing.envs.save import actor_of, write_policy
 from inclined_landing.envs.tasks import Task, is_path
 from inclined_landing.models.base import storage
-from inclined_landing.models.parameters import load_vehicle
 from inclined_landing.train import ppo, warm_start
 from inclined_landing.train.callbacks import TimeSpent
 from inclined_landing.train.config import TrainConfig
@@ -40,8 +39,7 @@ class Learner:
         self.clock = TimeSpent()
         self.teacher = None
         if config.start_from and fresh:
-            vehicle = load_vehicle(config.vehicle) if config.vehicle is not None else None
-            self.teacher = warm_start.teacher(config.start_from, self.task, vehicle)
+            self.teacher = warm_start.teacher(config.start_from, self.task, config.vehicle)
         self.model = ppo.build_model(config, env)
         if isinstance(self.teacher, Policy):
             warm_start.take_over(self.model, self.teacher)

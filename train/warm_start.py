@@ -14,6 +14,7 @@ is imitated in the same way.
 from __future__ import annotations
 
 from collections.abc import Callable
+from pathlib import Path
 
 import numpy as np
 import torch
@@ -36,7 +37,6 @@ from inclined_landing.envs.tasks.touchdown import (
 from inclined_landing.models import surface
 from inclined_landing.models.attitude import PITCH, ROLL, X, Y, Z
 from inclined_landing.models.base.errors import UserError
-from inclined_landing.models.vehicle import Vehicle
 from inclined_landing.train.descent import Descent
 
 CRITIC_FIRST = 65_536  # environment steps in which the actor is left alone
@@ -50,10 +50,10 @@ _ROUNDS, _ROUNDS_OF_LAW = 4, 8
 _STEPS, _EPOCHS, _BATCH, _RATE, _NOISE = 200, 15, 1024, 1e-3, 0.2
 
 
-def teacher(name: str, task: Task, vehicle: Vehicle | None) -> Policy | Descent:
+def teacher(name: str, task: Task, vehicle: Path | None) -> Policy | Descent:
     """Return the policy to start from, of `task` or of the task whose policy its training starts with.
 
-    name: a file or a shipped policy, or `DESCENT` for the law. vehicle: the run's; None for the shipped one.
+    name: a file or a shipped policy, or `DESCENT` for the law. vehicle: the run's file, None for the shipped.
     Raises UserError for any other policy.
     """
     if name == DESCENT:

@@ -80,13 +80,12 @@ class Flown:
         from inclined_landing.models.plants import check_plant
 
         check_plant(self.plant)
-        vehicle = load_vehicle(self.vehicle) if self.vehicle is not None else None
         angle = None if self.inclination is None else math.radians(self.inclination)
         if angle is not None:
-            (vehicle or load_vehicle()).check_inclination(angle)
+            load_vehicle(self.vehicle).check_inclination(angle)
         task = import_task(self.task).name if self.task and is_path(self.task) else self.task
         turn = None if self.azimuth is None else math.radians(self.azimuth)
-        return load_policy(policy, task, vehicle=vehicle, inclination=angle, azimuth=turn)
+        return load_policy(policy, task, vehicle=self.vehicle, inclination=angle, azimuth=turn)
 
 
 @dataclasses.dataclass(frozen=True)

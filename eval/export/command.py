@@ -42,11 +42,9 @@ def command(
     from inclined_landing.envs.shared.tables import say
     from inclined_landing.envs.tasks import import_task, is_path
     from inclined_landing.eval.export import c_source, contract
-    from inclined_landing.models.parameters import load_vehicle
 
-    flown = None if vehicle is None else load_vehicle(vehicle)
     loaded = contract.load(
-        policy, import_task(task).name if task is not None and is_path(task) else task, flown
+        policy, import_task(task).name if task is not None and is_path(task) else task, vehicle
     )
     terms = write(loaded, format, out)
     if format == "c" and 4 * terms["cost"]["constants"] > c_source.SMALL:

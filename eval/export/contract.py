@@ -11,6 +11,7 @@ import importlib.metadata
 import math
 from collections.abc import Mapping
 from importlib import resources
+from pathlib import Path
 
 import numpy as np
 
@@ -55,7 +56,7 @@ _QUANTITIES = {
 _TRAINING = ("seed", "steps", "plant", "curriculum", "command", "ranges", "versions")  # of the metadata
 
 
-def load(name: str, task: str | None = None, vehicle: Vehicle | None = None) -> Policy:
+def load(name: str, task: str | None = None, vehicle: Vehicle | Path | None = None) -> Policy:
     """Return the policy for the task and the vehicle of its training, or for another vehicle.
 
     Raises UserError when there is none.

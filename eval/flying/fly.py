@@ -77,7 +77,7 @@ class FlightOptions:
         from inclined_landing.eval.flying.surroundings import Surroundings
         from inclined_landing.eval.pictures.starts import parse_starts
 
-        room = load_vehicle(self.arena) if self.arena is not None else load_vehicle()
+        room = load_vehicle(self.arena)
         angle = room.platform_inclination if self.inclination is None else math.radians(self.inclination)
         slope = room.check_inclination(angle)
 

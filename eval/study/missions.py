@@ -148,15 +148,14 @@ def make_plan(
     policies: tuple[str, str, str], hand_over: str, inclination: float | None, vehicle: Path | None
 ) -> MissionPlan:
     """Return the plan of the options. Raises UserError for invalid ones."""
-    loaded = load_vehicle(vehicle) if vehicle is not None else None
     slope = None if inclination is None else math.radians(inclination)
     if slope is not None:
-        (loaded or load_vehicle()).check_inclination(slope)
+        load_vehicle(vehicle).check_inclination(slope)
     setpoint, landing, touchdown = policies
     x, z = read_point(hand_over, "hand-over", "xz")
     return MissionPlan(
-        load_policy(setpoint, "setpoint", vehicle=loaded),
-        load_policy(landing, vehicle=loaded, inclination=slope),
-        load_policy(touchdown, "touchdown", vehicle=loaded, inclination=slope),
+        load_policy(setpoint, "setpoint", vehicle=vehicle),
+        load_policy(landing, vehicle=vehicle, inclination=slope),
+        load_policy(touchdown, "touchdown", vehicle=vehicle, inclination=slope),
         (x, z),
     )

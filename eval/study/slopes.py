@@ -25,7 +25,7 @@ from inclined_landing.eval.study.flights import fly, policy_facts, slope_words
 from inclined_landing.models.attitude import YAW
 from inclined_landing.models.base.errors import UserError
 
-SAME, SINGLE = "the same slopes, any heading", "{:.1f} deg only"
+SAME, SINGLE = "the same slopes, any heading", " deg only"
 _HEADINGS_SEED = 25_700_551
 
 
@@ -67,7 +67,7 @@ def _cases(name: str, policy: Policy, plant: str, every: int) -> Iterator[Case]:
         one = _on_one_slope(task, slope)
         grid = frozen.clear(one, frozen.grid())[::every]
         start = one.start(hover_states(grid, one.vehicle))
-        labels = {"policy": name, "slopes": SINGLE.format(math.degrees(one.inclination))}
+        labels = {"policy": name, "slopes": f"{math.degrees(one.inclination):.1f}{SINGLE}"}
         yield Case(labels, partial(fly, policy, start, plant))
     if task.observes_slope and not task.is_planar:
         start = _any_heading(slopes.start)
@@ -109,12 +109,12 @@ def _on_one_slope(task: Task, inclination: float) -> Task:
 
 
 def _singles(results: Results) -> list[str]:
-    return [name for name in results.labels("slopes") if name.endswith(SINGLE[-8:])]
+    return [name for name in results.labels("slopes") if name.endswith(SINGLE)]
 
 
 def _remarks(results: Results) -> list[str]:
     """Return a sentence on each policy and all slopes of its training."""
-    first = {policy: results.all(STRICT, policy=policy)[0] for policy in results.labels("policy")}
+    first = {policy: results.one(STRICT, policy=policy) for policy in results.labels("policy")}
     return [
         f"{policy} {STRICT.said} in {count_words(row)} on slopes of {row['slopes']}."
         for policy, row in first.items()

@@ -35,11 +35,9 @@ def command(
     from inclined_landing.eval.study import changes, motor_cut
     from inclined_landing.eval.study.engine import run
     from inclined_landing.eval.study.show import hand_over
-    from inclined_landing.models.parameters import load_vehicle
 
     changes.check_effects(effect)
-    flown = load_vehicle(vehicle) if vehicle is not None else None
-    own = load_policy(policy, "touchdown", vehicle=flown)
-    cut = load_policy(NOMINAL, vehicle=flown, inclination=own.task.inclination)
+    own = load_policy(policy, "touchdown", vehicle=vehicle)
+    cut = load_policy(NOMINAL, vehicle=vehicle, inclination=own.task.inclination)
     found = motor_cut.study(own, cut, effects=tuple(dict.fromkeys(effect)))
     hand_over("touchdown", run([found]), json=json, out=out)

@@ -35,9 +35,8 @@ def command(
     """
     from inclined_landing.envs.policy import load_policy
     from inclined_landing.eval.truth.report import check
-    from inclined_landing.models.parameters import load_vehicle
 
-    policy = load_policy("landing", vehicle=None if vehicle is None else load_vehicle(vehicle))
+    policy = load_policy("landing", vehicle=vehicle)
     return check(
         out,
         "report",
