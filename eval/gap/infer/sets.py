@@ -62,7 +62,6 @@ LINEARISATIONS = 3  # points whose log evidences are averaged
 SIMULATED = 1.25  # simulated squared error of a probable set over the least of all, above: it is dropped
 SUBSET = 0.02  # the same over that of a subset
 REFIT_ABOVE = 0.03  # probability of a neighbour above which it is fitted through the simulator
-DIAGONAL = 0.5  # offset along one axis over the larger along the other, from which it may be a rotor's moment
 
 
 @dataclasses.dataclass(frozen=True)
@@ -492,7 +491,6 @@ def equivalence_class(found: SetPosterior, name: str) -> tuple[str, ...]:
     - It is possible, confused with `name` by ordinary flights, and not linear in all of its parameters, so
       that its slopes do not show what it reproduces.
     - It is in the `same_as` of `name`.
-    - Without requests of the motors, a centre of mass towards a corner may be a weak rotor.
     """
     local, library = found.local, found.problem.library
     effect, others = library[name], {n: e for n, e in library.items() if n not in found.names}
@@ -509,19 +507,4 @@ def equivalence_class(found: SetPosterior, name: str) -> tuple[str, ...]:
     bent = [o for o in bent if found.probability(o) >= thresholds.POSSIBLE]
     same = [o for o in fitting(name).same_as if o in library]
     tied.sort(key=lambda o: -share[o])
-    return tuple(dict.fromkeys((name, *replacing, *tied, *bent, *same, *_rotor_instead(found, name))))
-
-
-def _rotor_instead(found: SetPosterior, name: str) -> list[str]:
-    """Return the rotor that, giving less thrust, makes the moment of a centre of mass named, if one does.
-
-    It is the one towards which the centre of mass lies. Requests of the motors would distinguish the two.
-    """
-    if name != "com_offset" or found.problem.requested or name not in found.best.values:
-        return []
-    x, y = found.best.values[name]["x"], found.best.values[name]["y"]
-    if min(abs(x), abs(y)) < DIAGONAL * max(abs(x), abs(y)):
-        return []
-    # M1 is front right, M2 back right, M3 back left, M4 front left; x points forward, y to the left.
-    right, left = (1 if x > 0.0 else 2), (4 if x > 0.0 else 3)
-    return [f"weak_rotor_{left if y > 0.0 else right}"]
+    return tuple(dict.fromkeys((name, *replacing, *tied, *bent, *same)))

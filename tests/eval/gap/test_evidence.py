@@ -320,7 +320,7 @@ def test_a_trim_may_be_a_moment_that_is_possible_beside_it():
     for part, members in ((0.06, ("attitude_trim", "com_offset")), (0.04, ("attitude_trim",))):
         probable = {"com_offset": part, "wind": 0.3}
         found = types.SimpleNamespace(
-            problem=types.SimpleNamespace(library=library, requested=False),
+            problem=types.SimpleNamespace(library=library),
             names=frozenset({"attitude_trim"}),
             sets=(),
             local=types.SimpleNamespace(reproduced=lambda names, name, other: 0.1),
