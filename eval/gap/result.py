@@ -319,8 +319,7 @@ class Diagnosis:
 
         - `unknown`: the landings, or the flights (`repeats`), repeat an error that no name explains.
         - With names, `unknown` if they leave so much that none can be sure, else `effects`.
-        - `undecided`: effects that matter are probable, or would explain why the error exceeds that of the
-          reference flights.
+        - `undecided`: one of the effects that matter is probably missing.
         - `unknown`: the error, or a disturbance that shows in it, exceeds that of the reference flights.
         - `nothing`.
         """
@@ -361,16 +360,8 @@ class Diagnosis:
 
     @property
     def undecided(self) -> dict[str, float]:
-        """Return the possible effects among which it is undecided, with their probabilities.
-
-        They are all possible effects, if one of them is probably missing. If the error exceeds that of the
-        reference flights, they are those whose squared displacement is at least the share MAKES_UP of the
-        squared error beyond it.
-        """
-        if self.reference is None or not self.larger_error:
-            return self.possible if self.probability(*self.possible) >= thresholds.UNDECIDED else {}
-        least = thresholds.MAKES_UP * (self.residual.error**2 - self.reference.error**2)
-        return {n: p for n, p in self.possible.items() if self.displacements.get(n, 0.0) ** 2 >= least}
+        """Return the possible effects with their probabilities if one of them is probably missing."""
+        return self.possible if self.probability(*self.possible) >= thresholds.UNDECIDED else {}
 
     @property
     def larger_error(self) -> bool:

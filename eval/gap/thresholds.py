@@ -12,8 +12,6 @@ one of these commands or on these cases:
                5 conditions of CrazyPAD with two propellers cut
     last       120 cases as of `six`, from the families of `fresh` too, that nothing was chosen on, by the
                present search (docs/evidence/hidden_effects.md)
-    part       17 cases that had been wrong or near it, by the present names and verdicts: 5 as of `six`, 2
-               subsets of `recorded`, 4 of the firmware in the loop, 6 of CrazyPAD with a cut or a weight
 
 All were chosen on the development families of `blind`, those of doubt and of verdicts on `six` and
 `recorded`. The rates are in docs/evidence/hidden_effects.md. The families of `fresh` are others, on which
@@ -127,9 +125,6 @@ MOSTLY = 0.5  # If more than this share of the squared one-second error that is 
 MUCH_LARGER = 1.75  # If the error that names leave is more than this many times that of the reference's
 # flights, then none of them is sure. Larger: fewer names doubted, more wrong ones sure. Measured: six, causes
 # outside the library: `unknown` in 6 of 7, a wrong name sure in 1; recorded, load sure in 6 of 6
-MAKES_UP = 0.5  # If a possible effect makes up at least this share of the squared error beyond the
-# reference's, then the verdict is undecided. Larger: more verdicts `unknown` with the right possible name.
-# Measured: part, `unknown` for the one dead zone
 
 # Identifiability
 

@@ -206,14 +206,11 @@ _UNEXPLAINED = "the flights show an error that no effect of the library explains
 
 def _nameless(d: Diagnosis) -> str:
     """Return the headline of a diagnosis without a named effect."""
-    names = with_probabilities(d.undecided)
+    if d.verdict == "undecided":
+        return f"Undecided: the model may lack {with_probabilities(d.undecided)}."
     before = centimetres(d.reference.error) if d.reference else ""
     larger = "the error is larger than in the reference flights, "
     larger += f"{centimetres(d.residual.error)} for {before} one second ahead"
-    if d.verdict == "undecided":
-        if d.probability(*d.undecided) >= thresholds.UNDECIDED:
-            return f"Undecided: the model may lack {names}."
-        return f"Undecided: {larger}; {names} would explain it."
     if d.verdict == "unknown":
         if d.residual.unexplained or not d.exceeds_reference:
             return f"{_UNEXPLAINED[0].upper()}{_UNEXPLAINED[1:]}."
