@@ -145,8 +145,7 @@ def named_effects(
     """
     problem, library = found.problem, found.problem.library
     gains = selection.squared_error_shares(problem, values)
-    estimates, thrust = sizes.estimates(found, values), sizes.thrust_of_names(found, values)
-    may_cancel = thrust is not None and thrust.ci95[0] <= 1.0 <= thrust.ci95[1]
+    estimates = sizes.estimates(found, values)
     # Several lags of the attitude loops have one name, that of the first, and one size.
     lags = sizes.loop_pieces(problem, values)
     result: list[NamedEffect] = []
@@ -157,8 +156,7 @@ def named_effects(
         classes = (equivalence_class(found, n) for n in names)
         members = tuple(dict.fromkeys(itertools.chain(*classes)))
         costs_enough = least_cost == 0.0 or ahead[name].cost > least_cost
-        cancelled = may_cancel and library[name].changes_hover
-        doubt = _doubt(problem, name, ahead[name].along, not costs_enough, cancelled)
+        doubt = _doubt(problem, name, ahead[name].along, not costs_enough)
         doubt = doubt or _doubt_next_to(library, name, [one.name for one in result])
         result.append(
             NamedEffect(
@@ -176,11 +174,10 @@ def named_effects(
     return tuple(result)
 
 
-def _doubt(problem: Problem, name: str, along: Mapping[str, float], too_small: bool, cancelled: bool) -> str:
+def _doubt(problem: Problem, name: str, along: Mapping[str, float], too_small: bool) -> str:
     """Return a sentence on why an effect is not sure, whatever its probability; empty where it may be.
 
     along: how far it moves the vehicle along each axis. too_small: compared with what all names leave.
-    cancelled: it and others may cancel each other.
     """
     slow = [f.name for f in problem.flights if not f.shows_lags]
     if slow and problem.library[name].is_lag:
@@ -193,8 +190,6 @@ def _doubt(problem: Problem, name: str, along: Mapping[str, float], too_small: b
         )
     if too_small:
         return "In doubt, because the named effects leave more than noise and disturbances would."
-    if cancelled:
-        return "In doubt, because the named effects together may leave thrust over weight as modelled."
     # Does it move the vehicle, along the axis where most, by less than the identified one is worse there?
     worse = problem.reference.errors.worse if problem.reference and problem.reference.errors else {}
     moved = {"position": math.hypot(*along.values())}

@@ -234,12 +234,12 @@ def test_an_axis_is_worse_where_every_flight_says_so():
 
 
 def test_a_name_is_doubted_where_the_reference_is_wrong_by_more_than_it_moves():
-    def doubt(along, too_small=False, cancelled=False, name="wind", requested=False, **worse):
+    def doubt(along, too_small=False, name="wind", requested=False, **worse):
         flights = [SimpleNamespace(shows_lags=True)]
         errors = dataclasses.replace(ALIKE, worse=worse)
         reference = SimpleNamespace(errors=errors)
         problem = SimpleNamespace(flights=flights, reference=reference, library=LIBRARY, requested=requested)
-        return pipeline._doubt(problem, name, along, too_small, cancelled)
+        return pipeline._doubt(problem, name, along, too_small)
 
     along = {"x": 0.05, "y": 0.01, "z": 0.0}
     assert not doubt(along) and not doubt(along, y=(0.01, 0.03)) and not doubt(along, x=(0.01, 0.03))
@@ -247,7 +247,6 @@ def test_a_name_is_doubted_where_the_reference_is_wrong_by_more_than_it_moves():
     assert "(6.0 cm for 2.0 cm one second ahead)" in doubt(along, x=(0.02, 0.06))
     assert "predicts position of its own" in doubt(along, position=(0.02, 0.06))
     assert "leave more than noise" in doubt(along, too_small=True)
-    assert "thrust over weight as modelled" in doubt(along, cancelled=True)
     for moment in ("com_offset", "weak_rotor_1"):
         assert "the requests of the motors" in doubt(along, name=moment)
         assert not doubt(along, name=moment, requested=True)
