@@ -156,8 +156,6 @@ def named_effects(
         classes = (equivalence_class(found, n) for n in names)
         members = tuple(dict.fromkeys(itertools.chain(*classes)))
         costs_enough = least_cost == 0.0 or ahead[name].cost > least_cost
-        doubt = _doubt(problem, name, ahead[name].along, not costs_enough)
-        doubt = doubt or _doubt_next_to(library, name, [one.name for one in result])
         result.append(
             NamedEffect(
                 name=name,
@@ -167,7 +165,7 @@ def named_effects(
                 gain=max(gains[n] for n in names),
                 remedy=library[LOOP if is_loop else name].remedy,
                 cost=ahead[name].cost,
-                doubt=doubt,
+                doubt=_doubt(problem, name, ahead[name].along, not costs_enough),
                 parts={n: dict(values[n]) for n in lags} if is_loop else {},
             )
         )
@@ -201,18 +199,6 @@ def _doubt(problem: Problem, name: str, along: Mapping[str, float], too_small: b
                 f"the vehicle before did ({100 * after:.1f} cm for {100 * before:.1f} cm one second ahead): "
                 "identify it again, from more flights that move there."
             )
-    return ""
-
-
-def _doubt_next_to(library: Mapping[str, Effect], name: str, larger: Sequence[str]) -> str:
-    """Return a sentence on why a change of the loops is not sure next to larger names; empty where it may be.
-
-    No loop is quite of the modelled form: what is confused with a change makes up for the errors of its form.
-    """
-    for other in larger:
-        both_loops = all(selection.LOOPS.issuperset(library[n].channels) for n in (name, other))
-        if both_loops and other in library[name].confused_with:
-            return f"In doubt, because it may be a part of the {other.replace('_', ' ')}."
     return ""
 
 
