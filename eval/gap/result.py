@@ -320,7 +320,7 @@ class Diagnosis:
         - `unknown`: the landings, or the flights (`repeats`), repeat an error that no name explains.
         - With names, `unknown` if they leave so much that none can be sure, else `effects`.
         - `undecided`: one of the effects that matter is probably missing.
-        - `unknown`: the error, or a disturbance that shows in it, exceeds that of the reference flights.
+        - `unknown`: the error exceeds that of the reference flights.
         - `nothing`.
         """
         landings_repeat = self.touchdowns is not None and self.touchdowns.unexplained
@@ -331,7 +331,7 @@ class Diagnosis:
             return "unknown" if math.isinf(least) else "effects"
         if self.undecided:
             return "undecided"
-        return "unknown" if self.exceeds_reference else "nothing"
+        return "unknown" if self.larger_error else "nothing"
 
     @property
     def ahead(self) -> PlantGap | None:
@@ -370,33 +370,6 @@ class Diagnosis:
             return False
         return self.ahead.after > thresholds.LARGER_ERROR * max(self.reference.error, self.ahead.floor)
 
-    @property
-    def disturbed(self) -> dict[str, float]:
-        """Return the axes with a larger disturbance than in the reference flights, and how many times.
-
-        Its interval must lie above theirs as well. Angles are disturbed more the more a flight steers, as no
-        loop has quite the modelled form, and do not count.
-        """
-        before = self.reference.disturbance if self.reference else {}
-        return {
-            axis: now.size / max(before[axis].size, 1e-9)
-            for axis, now in self.disturbance.items()
-            if axis in ("x", "y", "z")
-            and axis in before
-            and now.size >= thresholds.LARGER_DISTURBANCE * before[axis].size
-            and now.size_ci95[0] > before[axis].size_ci95[1]
-        }
-
-    @property
-    def exceeds_reference(self) -> bool:
-        """Return whether the error that remains, or a disturbance, exceeds that of the reference flights.
-
-        A disturbance does not count if the error is smaller than theirs by USEFUL: then it does not show.
-        """
-        own = self.reference.error if self.reference else math.inf
-        shows = not self.residual.error < (1.0 - thresholds.USEFUL) * own
-        return self.larger_error or bool(self.disturbed and shows)
-
     def probability(self, *names: str) -> float:
         """Return the marginal probability that at least one of some effects is missing."""
         return marginal(self.sets, names)
@@ -434,7 +407,6 @@ class Diagnosis:
         for entry, effect in zip(record["effects"], self.effects):
             entry["sure"] = effect.sure
         record["residual"]["unexplained"] = self.residual.unexplained
-        record["disturbed"] = self.disturbed
         for entry, one in zip(record["residual"]["depends_on"], self.residual.depends_on):
             entry["material"] = self.residual.material(one)
         head = {"version": VERSION, "verdict": self.verdict, "nothing": self.nothing}

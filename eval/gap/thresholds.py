@@ -100,9 +100,6 @@ LARGER_ERROR = 1.4  # If the error one second ahead is more than this many times
 # flights, then something is missing. Larger: fewer false alarms in rougher flights, more causes under
 # `nothing`. Measured: again, nothing hidden: exceeded in 0 of 4; a cause outside the library: `unknown` in 4
 # of 6; six, nothing hidden: in 0 of 11
-LARGER_DISTURBANCE = 2.0  # If the disturbance of a channel is at least this many times that of the
-# reference's flights, with separate 95 % intervals, then something is missing. Larger: as LARGER_ERROR.
-# Measured: -
 WORSE = 0.05  # If the position error left out grows by more than this share, then an identified vehicle is
 # called worse. Larger: worse vehicles offered without a word, fewer good ones doubted. Measured: -
 WORSE_BY_CHANCE = 0.05  # This is the level of the paired t test over flights that one axis is predicted

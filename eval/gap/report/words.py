@@ -212,10 +212,9 @@ def _nameless(d: Diagnosis) -> str:
     larger = "the error is larger than in the reference flights, "
     larger += f"{centimetres(d.residual.error)} for {before} one second ahead"
     if d.verdict == "unknown":
-        if d.residual.unexplained or not d.exceeds_reference:
+        if d.residual.unexplained or not d.larger_error:
             return f"{_UNEXPLAINED[0].upper()}{_UNEXPLAINED[1:]}."
-        what = larger if d.larger_error else "disturbances are larger than in the reference flights"
-        return f"No effect is named: {what}, as if the air were moving."
+        return f"No effect is named: {larger}, as if the air were moving."
     how = f" ({probability(d.nothing)})" if d.nothing >= 0.5 else ""
     if d.inconsistent_flights:
         return f"No missing effect is common to all flights{how}."
@@ -250,12 +249,8 @@ def how_much(d: Diagnosis) -> str:
         repeats = f"Of the remaining error, {centimetres(most.displacement)} repeats from flight to flight"
         lines.append(f"{repeats}: {axis(most)}, depending on {most.on}.")
     if not (d.residual.depends_on or d.inconsistent_flights):
-        like = "noise and air disturbances" if not d.exceeds_reference else "gusts and other disturbances"
+        like = "noise and air disturbances" if not d.larger_error else "gusts and other disturbances"
         lines.append(f"The remaining error does not depend on any logged signal, just like {like}.")
-    if d.disturbed:
-        factors = {k: f"{x:.1f}" if x < 100.0 else "over 100" for k, x in d.disturbed.items()}  # of almost 0
-        times = listed([f"{factor} in {channel}" for channel, factor in factors.items()])
-        lines.append(f"Disturbances are larger than in the reference flights, by a factor of {times}.")
     if d.verdict == "undecided":
         lines.append("To refit all constants without naming one, run landing-eval identify on these flights.")
     return " ".join(lines)
