@@ -70,8 +70,6 @@ def diagnose(
     # How probable is every set of effects?
     searched = probable_sets(usable.fitted, vehicle, candidates, reference)
     notes = [*usable.notes, *_data_notes(searched.problem), *unidentifiable]
-    if "wind" in candidates and "wind" not in searched.problem.library:
-        notes.append("the vehicle has almost no drag, so wind cannot be diagnosed")
     if in_strong_wind(searched):  # search again without attitude loops and lags, which cannot be judged
         notes.append(_IN_WIND)
         usable = usable.without_angle_commands(vehicle)

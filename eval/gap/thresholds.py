@@ -133,9 +133,6 @@ UNMET = 0.95  # If that ratio exceeds this, then identification says nothing of 
 # meet it name it. Larger: fewer effects left to later flights. Measured: -
 CORRELATED = 0.8  # If the posterior correlation of two effects of an identified vehicle exceeds this, then
 # they are confounded. Larger: shorter lists. Measured: -
-
-FEEBLE = 0.05  # m/s2: if a wind of 1.2 m/s accelerates a hovering vehicle by less, then no wind is named.
-# Larger: fewer vehicles whose wind is named; of those with little drag its speed is a guess. Measured: -
 FLOWN = 0.03  # If a smaller share of the windows is in a regime, then a flight in it is asked for. Larger:
 # more flights asked for. Measured: -
 

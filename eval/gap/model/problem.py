@@ -11,7 +11,6 @@ from __future__ import annotations
 
 import dataclasses
 import itertools
-import math
 from collections.abc import Callable, Mapping, Sequence
 from functools import cached_property
 
@@ -88,8 +87,6 @@ class Problem(Candidates):
             if set(effect.channels) - ignored
             and all(getattr(f, field) is not None for f in flights for field in effect.requires)
         }
-        if _wind_force(vehicle, kept) < thresholds.FEEBLE:
-            kept = without(kept, "wind")
         if channels > len(POSE_CHANNELS):
             kept = {name: effect.seen_in_requests() for name, effect in kept.items()}
             if reference is not None:
@@ -376,14 +373,6 @@ def _with_model_errors(predicted: np.ndarray, form_jacobian: np.ndarray, values:
         return predicted
     jacobian = form_jacobian.transpose(0, 2, 1)
     return predicted + np.tensordot([weights[f] for f in BASE_DEVIATIONS], jacobian, axes=1).T
-
-
-def _wind_force(vehicle: Vehicle, library: Mapping[str, Effect]) -> float:
-    """Return the acceleration [m/s2] of a hovering vehicle by a wind of ordinary speed; inf: no wind."""
-    if "wind" not in library:
-        return math.inf
-    near, wind = Candidates(vehicle, library), {"wind": library["wind"].plausible}
-    return float(np.hypot(*(near.hover_acceleration(wind) - near.hover_acceleration({}))[:2]))
 
 
 def identifiable_effects(

@@ -459,15 +459,6 @@ def test_rows_on_the_ground_are_no_free_flight():
     assert not _on_ground(np.full(100, 1.0) + 1e-3).any()
 
 
-def test_no_wind_is_named_for_a_vehicle_without_drag():
-    """Of its speed the translation would show only products with constants that are zero."""
-    still = VEHICLE.changed(drag_coefficients=(0.0, 0.0, 0.0))
-    logs = flights(count=2, seconds=6.0)
-    fitted = usable_flights(logs, (), VEHICLE, None).fitted
-    assert "wind" in Problem.of(fitted, VEHICLE, LIBRARY).library
-    assert "wind" not in Problem.of(fitted, still, LIBRARY).library
-
-
 def test_no_lag_is_sure_in_logs_of_few_rows_a_second():
     """Held commands are dated up to 100 ms wrong, which looks like other lags too."""
     logs = flights({"attitude_time_constant": {"scale": 0.6}}, seed=2, count=3, seconds=6.0)
