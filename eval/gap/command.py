@@ -43,7 +43,7 @@ def command(
     from inclined_landing.eval.gap import diagnose
     from inclined_landing.eval.gap.answer.identification import identify
     from inclined_landing.eval.gap.model.reference import read_reference
-    from inclined_landing.eval.gap.report import files, identified, page, words
+    from inclined_landing.eval.gap.report import files, page, words
     from inclined_landing.eval.gap.result import REFERENCE
     from inclined_landing.models import plants  # noqa: F401
 
@@ -56,8 +56,6 @@ def command(
             vehicle = files.as_written(identification)
             known = identification.reference
             notes += identification.notes
-            if identification.worse:
-                notes.append(identified.headline(identification))
         else:
             vehicle = given
             known, ignored = read_reference(source.vehicle, given)

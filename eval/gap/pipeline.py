@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import dataclasses
 import itertools
-import math
 from collections.abc import Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor
 
@@ -14,7 +13,6 @@ from threadpoolctl import threadpool_limits
 
 from inclined_landing.eval.gap import thresholds
 from inclined_landing.eval.gap.answer import selection, sizes
-from inclined_landing.eval.gap.answer.selection import EffectAhead
 from inclined_landing.eval.gap.infer.contact import contact_answer
 from inclined_landing.eval.gap.infer.fit import estimate_noise
 from inclined_landing.eval.gap.infer.gaussian import prior_share
@@ -94,7 +92,7 @@ def diagnose(
         residual = dataclasses.replace(residual, error=gap.after)
     reference_errors = reference.errors if reference else None
     least_cost = cost_beyond_doubt(residual, gap, reference_errors)
-    effects = named_effects(found, values, ahead.named, least_cost)
+    effects = named_effects(found, values, ahead.costs, least_cost)
     landings = reference.landings if reference else None
     contact = contact_answer(usable, correction.vehicle, candidates, landings)
 
@@ -134,12 +132,12 @@ def probable_sets(
 
 
 def named_effects(
-    found: SetPosterior, values: Values, ahead: Mapping[str, EffectAhead], least_cost: float
+    found: SetPosterior, values: Values, costs: Mapping[str, float], least_cost: float
 ) -> tuple[NamedEffect, ...]:
     """Return the named effects with estimates, in the order of `values`.
 
-    ahead: what each does to the error one second ahead. least_cost [m]: an effect that costs no more is in
-    doubt; 0: none is for its cost, which may be unknown.
+    costs [m]: the error one second ahead that each accounts for. least_cost [m]: an effect that costs no more
+    is in doubt; 0: none is for its cost, which may be unknown.
     """
     problem, library = found.problem, found.problem.library
     gains = selection.squared_error_shares(problem, values)
@@ -153,7 +151,7 @@ def named_effects(
         parameters = {"response": sizes.response(found, values, lags)} if is_loop else estimates[name]
         classes = (equivalence_class(found, n) for n in names)
         members = tuple(dict.fromkeys(itertools.chain(*classes)))
-        costs_enough = least_cost == 0.0 or ahead[name].cost > least_cost
+        costs_enough = least_cost == 0.0 or costs[name] > least_cost
         result.append(
             NamedEffect(
                 name=name,
@@ -162,18 +160,18 @@ def named_effects(
                 parameters=parameters,
                 gain=max(gains[n] for n in names),
                 remedy=library[LOOP if is_loop else name].remedy,
-                cost=ahead[name].cost,
-                doubt=_doubt(problem, name, ahead[name].along, not costs_enough),
+                cost=costs[name],
+                doubt=_doubt(problem, name, not costs_enough),
                 parts={n: dict(values[n]) for n in lags} if is_loop else {},
             )
         )
     return tuple(result)
 
 
-def _doubt(problem: Problem, name: str, along: Mapping[str, float], too_small: bool) -> str:
+def _doubt(problem: Problem, name: str, too_small: bool) -> str:
     """Return a sentence on why an effect is not sure, whatever its probability; empty where it may be.
 
-    along: how far it moves the vehicle along each axis. too_small: compared with what all names leave.
+    too_small: its cost, compared with what all names leave.
     """
     slow = [f.name for f in problem.flights if not f.shows_lags]
     if slow and problem.library[name].is_lag:
@@ -186,17 +184,6 @@ def _doubt(problem: Problem, name: str, along: Mapping[str, float], too_small: b
         )
     if too_small:
         return "In doubt, because the named effects leave more than noise and disturbances would."
-    # Does it move the vehicle, along the axis where most, by less than the identified one is worse there?
-    worse = problem.reference.errors.worse if problem.reference and problem.reference.errors else {}
-    moved = {"position": math.hypot(*along.values())}
-    moved |= dict(sorted(along.items(), key=lambda item: -item[1])[:1])
-    for where, (before, after) in worse.items():
-        if moved.get(where, math.inf) < after:
-            return (
-                f"In doubt, because the identified vehicle predicts {where} of its own flights worse than "
-                f"the vehicle before did ({100 * after:.1f} cm for {100 * before:.1f} cm one second ahead): "
-                "identify it again, from more flights that move there."
-            )
     return ""
 
 

@@ -181,9 +181,6 @@ class ReferenceErrors:
     error: float  # m, open-loop position error one second ahead
     floor: float  # m, that of the measurement noise alone
     disturbance: Mapping[str, Disturbance]  # channel -> noise and disturbance
-    # Axes of the position one second ahead, or "position", that it predicts worse than the vehicle before:
-    # errors [m] of that and of this one.
-    worse: Mapping[str, tuple[float, float]] = dataclasses.field(default_factory=dict)
 
 
 class ScoredSet(Table, frozen=True):

@@ -100,10 +100,6 @@ LARGER_ERROR = 1.4  # If the error one second ahead is more than this many times
 # flights, then something is missing. Larger: fewer false alarms in rougher flights, more causes under
 # `nothing`. Measured: again, nothing hidden: exceeded in 0 of 4; a cause outside the library: `unknown` in 4
 # of 6; six, nothing hidden: in 0 of 11
-WORSE = 0.05  # If the position error left out grows by more than this share, then an identified vehicle is
-# called worse. Larger: worse vehicles offered without a word, fewer good ones doubted. Measured: -
-WORSE_BY_CHANCE = 0.05  # This is the level of the paired t test over flights that one axis is predicted
-# worse. Larger: more references doubted along an axis. Measured: six, 0 of 45; recorded, 0 of 6 subsets
 
 # Unknown
 

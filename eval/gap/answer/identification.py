@@ -14,7 +14,6 @@ from collections.abc import Iterator, Mapping, Sequence
 from functools import cached_property
 
 import numpy as np
-from scipy.special import stdtrit
 from threadpoolctl import threadpool_limits
 
 from inclined_landing.eval.gap import thresholds
@@ -44,7 +43,6 @@ from inclined_landing.eval.gap.model.columns import (
     slab_deviations,
     without,
 )
-from inclined_landing.eval.gap.model.prediction import POSE_CHANNELS
 from inclined_landing.eval.gap.model.problem import Problem, identifiable_effects
 from inclined_landing.eval.gap.model.reference import VehiclePosterior, free_effects
 from inclined_landing.eval.gap.result import (
@@ -107,8 +105,6 @@ class Identification:
     notes: tuple[str, ...]
     inconsistent_flights: tuple[InconsistentFlights, ...] = ()
     set_aside: tuple[SetAside, ...] = ()
-    # What of the position one second ahead is predicted worse than before: see ReferenceErrors.
-    worse: Mapping[str, tuple[float, float]] = dataclasses.field(default_factory=dict)
 
     def to_json(self) -> dict:
         """Return the contents of report.json: plain dicts, lists, strings and numbers."""
@@ -127,8 +123,8 @@ def identify(
 ) -> Identification:
     """Return the vehicle's constants fitted to flights, with their posterior and identifiability.
 
-    heldout: flights that are not fitted, but whose errors decide which constants are left unchanged; without
-    them these are the errors of each flight, left out of the fit in turn.
+    heldout: flights that are not fitted, but on which errors are measured; without them these are the errors
+    of each flight, left out of the fit in turn.
     Raises UserError when no flight can be used.
     """
     vehicle = as_vehicle(vehicle)
@@ -143,19 +139,10 @@ def identify(
             fitted, kept = other, large
     linear = fitted.problem.linearise(fitted.joint, fitted.problem.all_columns())
     inconsistent = inconsistent_flights(fitted.problem, linear)
-    # This is not the rule of `useful_values`: there a name must be earned, and the effect that errors one
-    # second ahead need least is dropped, one at a time; here a constant stays fitted unless an axis is then
-    # predicted worse than by the vehicle before, and all that act on such an axis are left as they were.
-    while more := fitted.acting_on_worse() - kept:
-        rest = without(library, *kept, *more)
-        fewer = _Fit.of(with_library(fitted.problem, rest), fitted.joint, use.judged)
-        if not fewer.is_better_than(fitted):
-            break
-        fitted, kept = fewer, kept | more
     result, landings, moved = landing_reference(use.logs, fitted.vehicle, LIBRARY)
     disturbance, errors = disturbances(fitted.problem), None
     if fitted.ahead and (use.judged or len(use.fitted) > 1):
-        errors = ReferenceErrors(fitted.ahead["after"], fitted.ahead["floor"], disturbance, fitted.worse)
+        errors = ReferenceErrors(fitted.ahead["after"], fitted.ahead["floor"], disturbance)
     around = problem_about(fitted.problem, result)
     reference = identified_reference(
         around, errors=errors, landings=landings, flights={log.name: fingerprint(log) for log in use.logs}
@@ -181,7 +168,6 @@ def identify(
             zip(WINDOW_REGIMES, np.concatenate([f.regimes for f in use.fitted]).mean(axis=0).tolist())
         ),
         kept=tuple(n for n in library if n in kept),
-        worse=fitted.worse,
         disturbance=disturbance,
         fields=fields,
         flights=tuple(f.name for f in use.fitted),
@@ -202,7 +188,6 @@ class _Fit:
     vehicle: Vehicle  # with these, but those of the place
     # These are fields of `Identification`, on the flights judged on (`Refit.judged`).
     ahead: dict[str, float]
-    worse: dict[str, tuple[float, float]]
 
     @staticmethod
     def of(problem: Problem, joint: FittedValues, heldout: list[MeasuredFlight]) -> _Fit:
@@ -216,22 +201,10 @@ class _Fit:
         own, *left_out = map(_without_place, every)
         refit, before = Refit(problem, own, left_out), problem.vehicle
         judged, vehicles = refit.judged(heldout)
-        ahead, worse = {}, {}
+        ahead = {}
         with contextlib.suppress(UserError):  # no stretch of a second
-            starts = rollout.RolloutWindows.of(judged)
-            ahead, worse = _errors_ahead(starts, before, vehicles), worse_axes(starts, before, refit.vehicle)
-        if ahead and ahead["after"] > (1.0 + thresholds.WORSE) * ahead["before"]:
-            worse = {"position": (ahead["before"], ahead["after"])}
-        return _Fit(problem, start, values, local, refit.vehicle, ahead, worse)
-
-    def is_better_than(self, other: _Fit) -> bool:
-        """Return whether the errors in `worse` grow by less than those of another fit.
-
-        The position error must not be larger by WORSE either.
-        """
-        grown = [sum(after**2 - before**2 for before, after in x.worse.values()) for x in (self, other)]
-        further = self.ahead["after"] > (1.0 + thresholds.WORSE) * other.ahead["after"]
-        return grown[0] < grown[1] and not further
+            ahead = _errors_ahead(rollout.RolloutWindows.of(judged), before, vehicles)
+        return _Fit(problem, start, values, local, refit.vehicle, ahead)
 
     def large_beyond_slopes(self) -> frozenset[str]:
         """Return the effects of more than a plausible size that are not linear in all of their numbers.
@@ -247,22 +220,6 @@ class _Fit:
             for e in bent
             if any(abs(p.size(at[e.name][p.name])) > abs(p.size(p.plausible)) for p in e.parameters)
         )
-
-    def acting_on_worse(self) -> frozenset[str]:
-        """Return the effects that act most on an axis that is predicted worse.
-
-        Where the position is, they are those that act most on any of x, y, z, roll and pitch.
-        """
-        channels = [POSE_CHANNELS.index(axis) for axis in self.worse if axis in POSE_CHANNELS]
-        if not channels:
-            channels = list(range(5)) if self.worse else []
-        squares = self.problem.squares_by_channel
-        after, result = squares(self.values), []
-        for name in self.values if channels else ():
-            change = np.abs(squares(without(self.values, name)) - after)[:5]
-            if int(np.argmax(change)) in channels and change.any():
-                result.append(name)
-        return frozenset(result)
 
     @cached_property
     def parameter_errors(self) -> dict[tuple[str, str], ParameterErrors]:
@@ -321,28 +278,6 @@ class _Fit:
 def _without_place(values: Values) -> FittedValues:
     """Return the values of the effects that are the vehicle's, not of the place where it flew."""
     return {n: dict(v) for n, v in values.items() if not LIBRARY[n].of_the_place}
-
-
-def worse_axes(
-    starts: rollout.RolloutWindows, before: Vehicle, after: Vehicle
-) -> dict[str, tuple[float, float]]:
-    """Return the axes along which `after` predicts the position one second ahead worse, with both errors [m].
-
-    Along such an axis the squared error grows by more than a share MATERIAL of that of the position, and by
-    more than the scatter between flights.
-    """
-    # Paired by flight: mean growth over its standard error above the quantile of t, one-sided.
-    error = [(rollout.simulate(starts, v) - starts.measured())[:, -1, :3] for v in (before, after)]
-    flown = [starts.flight_of == k for k in np.unique(starts.flight_of)]
-    squares = np.array([[(e[own] ** 2).mean(axis=0) for own in flown] for e in error])  # (2, flights, 3)
-    growth, n = squares[1] - squares[0], len(flown)
-    sure = stdtrit(n - 1, 1.0 - thresholds.WORSE_BY_CHANCE) if n > 1 else 0.0
-    scatter = growth.std(axis=0, ddof=1) / math.sqrt(n) if n > 1 else np.zeros(3)
-    least = thresholds.MATERIAL * squares[1].mean(axis=0).sum()
-    grown = growth.mean(axis=0)
-    worse = (grown > least) & (grown > sure * scatter)
-    errors = np.sqrt(squares.mean(axis=1))
-    return {axis: (float(errors[0, k]), float(errors[1, k])) for k, axis in enumerate("xyz") if worse[k]}
 
 
 def _fitted(use: UsableFlights, vehicle: Vehicle, library: Mapping[str, Effect]) -> _Fit:

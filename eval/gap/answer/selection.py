@@ -310,18 +310,11 @@ def corrected(found: SetPosterior, values: FittedValues) -> Refit:
 
 
 @dataclasses.dataclass(frozen=True)
-class EffectAhead:
-    """The change of the position one second ahead by a named effect."""
-
-    cost: float = math.nan  # m, the error that it accounts for; NaN: not known
-    along: Mapping[str, float] = dataclasses.field(default_factory=dict)  # axis -> m, root mean square
-
-
-@dataclasses.dataclass(frozen=True)
 class OpenLoopErrors:
     """Open-loop predictions of the flights, with and without the effects; empty where none can be made."""
 
-    named: dict[str, EffectAhead] = dataclasses.field(default_factory=dict)  # what each of these does
+    # m, the error one second ahead that each named effect accounts for; NaN: not known
+    costs: dict[str, float] = dataclasses.field(default_factory=dict)
     gap: dict[str, PlantGap] = dataclasses.field(default_factory=dict)  # by plant, of the equations first
     displacements: dict[str, float] = dataclasses.field(default_factory=dict)  # see Diagnosis
     growth: ErrorGrowth | None = None
@@ -340,8 +333,8 @@ def open_loop_errors(
     try:
         windows = rollout.RolloutWindows.of(judged.flights)
     except UserError as why:
-        unknown = dict.fromkeys(values, EffectAhead())
-        return OpenLoopErrors(named=unknown, notes=(f"the gap after one second was not measured: {why}",))
+        unknown = dict.fromkeys(values, math.nan)
+        return OpenLoopErrors(costs=unknown, notes=(f"the gap after one second was not measured: {why}",))
     floor = rollout.noise_floor(windows, correction.vehicle)
     gap, notes = {}, []
     for plant in dict.fromkeys(("analytic", *plants)):
@@ -357,7 +350,7 @@ def open_loop_errors(
     pieces = loop_pieces(problem, values)
     classes = {member for name in values for member in equivalence_class(found, name)}
     return OpenLoopErrors(
-        named={n: _effect_ahead(problem, windows, values, pieces if n in pieces else (n,)) for n in values},
+        costs={n: _cost(problem, windows, values, pieces if n in pieces else (n,)) for n in values},
         gap=gap,
         displacements=_displacements(found, windows, classes),
         growth=ErrorGrowth(
@@ -388,18 +381,12 @@ def _errors_in_turn(
     return {name: rollout.errors_by_flight(windows, vehicle) for name, vehicle in vehicles.items()}
 
 
-def _effect_ahead(
-    problem: Problem, windows: rollout.RolloutWindows, values: Values, names: Sequence[str]
-) -> EffectAhead:
-    """Return the error after one second that effects account for, and how far they move the vehicle."""
+def _cost(problem: Problem, windows: rollout.RolloutWindows, values: Values, names: Sequence[str]) -> float:
+    """Return the position error [m] after one second that effects account for."""
     # cost^2 = e_without^2 - e_with^2
-    measured = windows.measured()
-    rest = rollout.simulate(windows, problem.corrected(without(values, *names)))
-    whole = rollout.simulate(windows, problem.corrected(values))
-    worse = rollout.position_error(rest, measured)[-1]
-    better = rollout.position_error(whole, measured)[-1]
-    moved = np.sqrt(((whole - rest)[:, -1, :3] ** 2).mean(axis=0))
-    return EffectAhead(float(np.sqrt(max(0.0, worse**2 - better**2))), dict(zip("xyz", map(float, moved))))
+    rest, whole = (problem.corrected(v) for v in (without(values, *names), values))
+    worse, better = (float(rollout.errors_by_flight(windows, v)[-1]) for v in (rest, whole))
+    return math.sqrt(max(0.0, worse**2 - better**2))
 
 
 def _displacements(found: SetPosterior, windows: rollout.RolloutWindows, named: Set[str]) -> dict[str, float]:

@@ -15,16 +15,7 @@ from inclined_landing.models.effects import LIBRARY
 
 
 def headline(found: Identification) -> str:
-    """Return how many constants differ from the nominal model, or in what the nominal one is better."""
-    if found.worse:
-        grown = [
-            f"{axis} ({words.centimetres(after)}, before {words.centimetres(before)})"
-            for axis, (before, after) in found.worse.items()
-        ]
-        return (
-            f"One second ahead, the identified vehicle predicts {words.listed(grown)} worse than the nominal "
-            "one; gap doubts effects that act there and move the vehicle by less."
-        )
+    """Return how many constants differ from the nominal model."""
     n, changed = len(found.parameters), len(changed_parameters(found))
     return f"{changed or 'None'} of {n} constants differ{'s' * (changed == 1)} from the nominal model."
 
@@ -47,10 +38,7 @@ def sentences(found: Identification) -> list[str]:
     if found.kept:
         kept = words.labels(found.kept)
         lines.append(f"Left unchanged, because fitting them made predictions of other flights worse: {kept}.")
-    helpful = missing_flights(found)
-    if found.worse and not helpful:
-        helpful = ["More and longer flights of all kinds would help."]
-    return lines + helpful
+    return lines + missing_flights(found)
 
 
 # What excites the effects of a regime.
