@@ -186,10 +186,6 @@ class _Fits:
         """
         problem, fitted = self.problem, self.by_set
         fitted |= {names: self.fit(names, joint) for names in starts}
-        for start in self._starts_without_size():
-            fit = self.fit(frozenset(start), start)
-            if fit.names not in fitted or fit.score > fitted[fit.names].score:
-                fitted[fit.names] = fit
         predictions: dict[EffectSet, _Prediction] = {}
         expanded: set[EffectSet] = set()
         while len(fitted) < MOST_FITS:
@@ -228,20 +224,6 @@ class _Fits:
                 here = result.get(names) or known.get(names)  # neither: the set would be too large
                 if here is not None and names not in self.by_set:
                     result[names] = far._replace(score=max(here.score, far.score))
-        return result
-
-    def _starts_without_size(self) -> list[FittedValues]:
-        """Return single effects about those starts that give only a reference, sized by the slopes there."""
-        problem, result = self.problem, []
-        for name, effect in problem.library.items():
-            for about in fitting(name).starts:
-                start = {name: {**effect.neutral, **about}}
-                ranges = {p: effect.parameter(p).possible for p in about}
-                within = all(ranges[p][0] <= x <= ranges[p][1] for p, x in about.items())
-                if within and not np.any(problem.sizes(name, start)):
-                    local = self._linearised(start, problem.all_columns())
-                    mode = posterior_mode(problem, local, frozenset(start))
-                    result.append({name: {**mode[name], **about}})
         return result
 
     def _far_starts(self, fit: FittedSet) -> dict[str, _Prediction]:

@@ -127,7 +127,6 @@ FITTING = {
     "wind": Fitting(extrapolated=0.3),
     "rotor_drag": Fitting(forms=("translation speed", "translation late"), form_deviation=0.15),
     "com_offset": Fitting(
-        starts=({"hold": 0.002},),
         forms=("requests slope",),
         form_deviation=0.2,
         parameters=dict.fromkeys("xy", Variation(placement=2e-4)),
