@@ -30,7 +30,7 @@ from inclined_landing.eval.gap.infer.sets import (
 from inclined_landing.eval.gap.measured.windows import MeasuredFlight
 from inclined_landing.eval.gap.model.columns import FittedValues, Values, slab_deviations, without
 from inclined_landing.eval.gap.model.problem import Problem
-from inclined_landing.eval.gap.result import HORIZON, ErrorGrowth, PlantGap
+from inclined_landing.eval.gap.result import ErrorGrowth, PlantGap
 from inclined_landing.models.base.errors import UserError
 from inclined_landing.models.effects import Effect
 from inclined_landing.models.vehicle import Vehicle
@@ -138,7 +138,7 @@ def useful_values(found: SetPosterior, values: FittedValues) -> FittedValues:
     while True:
         unneeded: list[tuple[float, Refit]] = []
         for name in sorted(fit.values):
-            errors = judged_by(found.problem.library[name], values[name])
+            errors = judged_by(found.problem.library[name])
             if errors and (rest := _fit_if_unneeded(found, fit, name, errors)):
                 unneeded.append((rest.growth_of(errors, fit)[0], rest))
         if not unneeded:
@@ -211,15 +211,11 @@ def firm_names(found: SetPosterior, values: Values) -> set[str]:
     return firm
 
 
-def judged_by(effect: Effect, values: Mapping[str, float]) -> list[int]:
+def judged_by(effect: Effect) -> list[int]:
     """Return which of POSITION, TILT and HEADING (`rollout`) an effect acts on, the main one first.
 
-    There is none for an effect that acts on the motors' requests alone, and for a moment that the loops take
-    over within the second ahead: it takes up some of the range of control, and changes the motion little.
+    There is none for an effect that acts on the motors' requests alone.
     """
-    hold = [values.get(p.name, 0.0) for p in effect.parameters if p.fields == ("effects_attitude_hold",)]
-    if hold and hold[0] * HORIZON > 1.0:
-        return []
     by_channel = {
         rollout.POSITION: {"translation", "attitude"},
         rollout.TILT: {"attitude"},
@@ -230,7 +226,7 @@ def judged_by(effect: Effect, values: Mapping[str, float]) -> list[int]:
 
 def _shows_ahead(found: SetPosterior, values: FittedValues, name: str) -> bool:
     """Return whether an error one second ahead grows by USEFUL without an effect, others fitted again."""
-    errors = judged_by(found.problem.library[name], values[name])
+    errors = judged_by(found.problem.library[name])
     if not errors:
         return False
     names = frozenset(values)
