@@ -470,8 +470,6 @@ def equivalence_class(found: SetPosterior, name: str) -> tuple[str, ...]:
     - It replaces `name` in probable sets, and reproduces a share ALIKE of its contribution to the flights, or
       makes a moment as well, or has `name` in its `same_as`.
     - It reproduces nearly all of that contribution (TIED), whatever its probability.
-    - It is possible, confused with `name` by ordinary flights, and not linear in all of its parameters, so
-      that its slopes do not show what it reproduces.
     - It is in the `same_as` of `name`.
     """
     local, library = found.local, found.problem.library
@@ -484,9 +482,6 @@ def equivalence_class(found: SetPosterior, name: str) -> tuple[str, ...]:
 
     replacing = [o for o in confounded_with(found.sets, found.names, name) if o in others and replaces(o)]
     tied = [o for o in others if share[o] >= thresholds.TIED and others[o].reference is None]
-    confused = [o for o in others if name in others[o].confused_with]
-    bent = [o for o in confused if not all(p.linear for p in others[o].parameters)]
-    bent = [o for o in bent if found.probability(o) >= thresholds.POSSIBLE]
     same = [o for o in fitting(name).same_as if o in library]
     tied.sort(key=lambda o: -share[o])
-    return tuple(dict.fromkeys((name, *replacing, *tied, *bent, *same)))
+    return tuple(dict.fromkeys((name, *replacing, *tied, *same)))

@@ -19,7 +19,6 @@ from inclined_landing.eval.gap.infer.sets import (
     _neighbours,
     _relevant_subsets,
     confounded_with,
-    equivalence_class,
 )
 from inclined_landing.eval.gap.measured.noise import estimate
 from inclined_landing.eval.gap.measured.windows import prepare, remove_tilt
@@ -312,21 +311,6 @@ def test_two_of_three_that_are_a_combination_of_each_other_may_be_the_third(thre
     for third in three:
         near = _neighbours(problem, types.SimpleNamespace(names=three - {third} | {"wind"}))
         assert frozenset((third, "wind")) in near and len(near) == len(set(near))
-
-
-def test_a_trim_may_be_a_moment_that_is_possible_beside_it():
-    """Slopes at neutral do not show what a moment does that the loops hardly take over; a wind's do."""
-    library = {n: LIBRARY[n] for n in ("attitude_trim", "com_offset", "wind")}
-    for part, members in ((0.06, ("attitude_trim", "com_offset")), (0.04, ("attitude_trim",))):
-        probable = {"com_offset": part, "wind": 0.3}
-        found = types.SimpleNamespace(
-            problem=types.SimpleNamespace(library=library),
-            names=frozenset({"attitude_trim"}),
-            sets=(),
-            local=types.SimpleNamespace(reproduced=lambda names, name, other: 0.1),
-            probability=probable.get,
-        )
-        assert equivalence_class(found, "attitude_trim") == members
 
 
 def test_the_form_of_the_model_errs_by_a_share_of_the_motion():
