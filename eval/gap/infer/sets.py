@@ -382,10 +382,7 @@ def leave_one_out(
 
 
 def _neighbours(problem: Problem, fit: FittedSet) -> list[EffectSet]:
-    """Return the sets that differ by one effect added, removed or exchanged, or by two added.
-
-    Or by two of three that are a combination of each other exchanged for the third.
-    """
+    """Return the sets that differ by one effect added, removed or exchanged, or by two added."""
     # Both lists have the library's order, because that of sets differs from process to process.
     held = [n for n in problem.library if n in fit.names]
     others = [n for n in problem.library if n not in fit.names]
@@ -393,8 +390,6 @@ def _neighbours(problem: Problem, fit: FittedSet) -> list[EffectSet]:
     if len(fit.names) < MOST_EFFECTS:
         result += [fit.names | {n} for n in others]
     result += [(fit.names - {n}) | {m} for n in held for m in others]
-    redundant = (of for of in REDUNDANT if len(of) == 3 and of <= problem.library.keys())
-    result += [fit.names ^ of for of in redundant if len(of & fit.names) == 2]
     if len(fit.names) + 2 <= MOST_EFFECTS:
         result += [fit.names | set(pair) for pair in itertools.combinations(others, 2)]
     return result

@@ -15,8 +15,6 @@ from inclined_landing.eval.gap.infer.fit import model_error_weights, variance_in
 from inclined_landing.eval.gap.infer.gaussian import Bounds, LinearGaussian, clipped, truncated_mode
 from inclined_landing.eval.gap.infer.residual import _RidgeRegression, _sign_flips, gain_matrix
 from inclined_landing.eval.gap.infer.sets import (
-    REDUNDANT,
-    _neighbours,
     _relevant_subsets,
     confounded_with,
 )
@@ -302,15 +300,6 @@ def test_what_takes_the_place_of_an_effect_stands_in_sets_without_it():
     sets = tuple(ScoredSet(names, p) for names, p in shares.items())
     assert confounded_with(sets, sets[0].names, "a") == ("b",)
     assert confounded_with(sets, sets[0].names, "c") == ()
-
-
-@pytest.mark.parametrize("three", [of for of in REDUNDANT if len(of) == 3], ids=min)
-def test_two_of_three_that_are_a_combination_of_each_other_may_be_the_third(three):
-    """A case that ordinary neighbours do not reach: a step on the way there gains nothing."""
-    problem = types.SimpleNamespace(library=dict.fromkeys(free_effects()))
-    for third in three:
-        near = _neighbours(problem, types.SimpleNamespace(names=three - {third} | {"wind"}))
-        assert frozenset((third, "wind")) in near and len(near) == len(set(near))
 
 
 def test_the_form_of_the_model_errs_by_a_share_of_the_motion():
