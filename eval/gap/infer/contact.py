@@ -34,7 +34,6 @@ from inclined_landing.models.vehicle import Vehicle
 
 MOST_EFFECTS = 2  # of a set
 SCAN = (0.2, 0.55, 1.1, 2.4, 4.5)  # sizes simulated on both sides of neutral, in plausible sizes
-TAIL = 0.2, 4.0  # of the slab: weight of a normal so many times as wide
 REFINEMENTS = 2  # grid points added at the mode
 RESCANS = 3  # sets of two that are simulated jointly
 FINE_GRID = np.linspace(-6.0, 6.0, 25)  # posterior standard deviations about the mode, of the sum's terms
@@ -334,7 +333,7 @@ class _ContactModel:
         for _ in range(REFINEMENTS):
             sizes = _subdivided(scan.sizes, 4)
             local = self._marginalised(j, scan.at(sizes), width, beside)
-            best = float(sizes[np.argmax(local.log[:, 0] + self._log_prior(sizes, j, width[j]))])
+            best = float(sizes[np.argmax(local.log[:, 0] + _log_prior(sizes, width[j]))])
             if np.abs(scan.sizes - best).min() < 1e-3 * self.slab[j]:
                 break
             scan = scan.with_one(best, self._errors({**beside, j: best}))
@@ -381,39 +380,17 @@ class _ContactModel:
         named = {k for k, n in enumerate(self.names) if n in names}
         width, sizes = self._widths(named), _subdivided(scan.sizes, 2)
         coarse = self._marginalised(j, scan.at(sizes), self._coupled_widths(named, j, sizes), beside)
-        k = int(np.argmax(coarse.log[:, 0] + self._log_prior(sizes, j, width[j])))
+        k = int(np.argmax(coarse.log[:, 0] + _log_prior(sizes, width[j])))
         spread = 1.0 / math.sqrt(coarse.information[k, :, j].sum() + 1.0 / width[j] ** 2)
         sizes = np.concatenate([sizes, sizes[k] + spread * FINE_GRID])
         sizes = np.unique(np.clip(sizes, scan.sizes[0], scan.sizes[-1]))
         fine = self._marginalised(j, scan.at(sizes), self._coupled_widths(named, j, sizes), beside)
-        # p(data | S) = sum_x p(data | x) p(x) q(x) dx,  q the factor of the non-local prior
-        prior = self._log_prior(sizes, j, width[j])
+        # p(data | S) = sum_x p(data | x) p(x) dx
         at = fine.mode.copy()
         at[:, j] = sizes
-        own = [k for k, n in enumerate(self.names) if n in names]
-        log = fine.log.T + prior + self._nonlocal_log_prior(at[:, own], own) + np.log(np.gradient(sizes))
+        log = fine.log.T + _log_prior(sizes, width[j]) + np.log(np.gradient(sizes))
         k = int(np.argmax(log[0] - np.log(np.gradient(sizes))))
         return _Profile(names, self.names[j], sizes, log, at[k])
-
-    def _log_prior(self, sizes: np.ndarray, j: int, width: float) -> np.ndarray:
-        """Return the log prior (m,) of effect j at sizes (m,): its spike, or its slab with a wide tail."""
-
-        def normal_log_density(scale: float) -> np.ndarray:
-            return -0.5 * (sizes / scale) ** 2 - math.log(scale * math.sqrt(2.0 * math.pi))
-
-        normal = normal_log_density(width)
-        if width != self.slab[j]:
-            return normal
-        wide = normal_log_density(TAIL[1] * width)
-        return np.logaddexp(math.log1p(-TAIL[0]) + normal, math.log(TAIL[0]) + wide)
-
-    def _nonlocal_log_prior(self, sizes: np.ndarray, own: Sequence[int]) -> np.ndarray:
-        """Return the log factor (m,) of a non-local prior (Johnson and Rossell 2010) at sizes (m, k)."""
-        # A named effect exceeds its spike:  q(x) = [1 - exp(-x^2 / 2 spike^2)] / Z,
-        # Z = 1 - spike / sqrt(spike^2 + slab^2), so that N(x; 0, slab^2) q(x) is normalised.
-        spike, slab = self.spike[own], self.slab[own]
-        factor = -np.expm1(-0.5 * (sizes / spike) ** 2) / (1.0 - spike / np.hypot(spike, slab))
-        return np.log(np.maximum(factor, 1e-12)).sum(axis=1)
 
     def profiles(self, names: EffectSet) -> list[_Profile]:
         """Return the profiles of a set along each of its effects (of up to one effect: along all)."""
@@ -494,6 +471,11 @@ class _ContactModel:
         errors = self.problem.errors(self.problem.corrected(values))[None]
         small = self._marginalised(None, errors, self._widths(set()), {}).mode[0]
         return errors[0] - self.slopes @ small
+
+
+def _log_prior(sizes: np.ndarray, width: float) -> np.ndarray:
+    """Return the log prior (m,) of an effect at sizes (m,): its spike, or its slab."""
+    return -0.5 * (sizes / width) ** 2 - math.log(width * math.sqrt(2.0 * math.pi))
 
 
 def _subdivided(sizes: np.ndarray, parts: int) -> np.ndarray:
