@@ -255,9 +255,6 @@ class Effect:
     is_lag: bool = False  # a lag or delay: in doubt at a low log rate, no candidate in strong wind
     scales_thrust: bool = False  # free flight shows thrust over mass alone: such effects count as one cause
     changes_hover: bool = False  # thrust of a hover command, or weight: such effects may cancel each other
-    # Effects that change along with it in MuJoCo's contact model but not with real feet, so that their errors
-    # may be as large.
-    couples_with: tuple[str, ...] = ()
     of_the_place: bool = False  # depends on the room or the day: not a property of the vehicle
     # False: frozen in `identify` (a fault of a single part, or not excited by ordinary flights).
     identified: bool = True

@@ -85,9 +85,6 @@ EFFECTS = (
         channels=("touchdown",),
         apply=lambda vehicle, values: _spring(vehicle, 1.0, values.get("scale", 1.0)),
         says="the contact damping is {scale} times the modelled one",
-        # Friction in MuJoCo answers within 1/damping of the contact: with less damping vehicles slide
-        # further than feet do.
-        couples_with=("friction",),
     ),
     Effect(
         name="foot_height",

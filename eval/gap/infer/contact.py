@@ -23,7 +23,7 @@ from scipy.special import chdtrc, logsumexp
 
 from inclined_landing.eval.gap import thresholds
 from inclined_landing.eval.gap.infer.gaussian import SPIKE, EffectSet, flight_weights, prior_share
-from inclined_landing.eval.gap.infer.sets import REFIT_ABOVE, confounded_with
+from inclined_landing.eval.gap.infer.sets import confounded_with
 from inclined_landing.eval.gap.infer.touchdown_simulation import TouchdownProblem
 from inclined_landing.eval.gap.measured.landings import Landing, LandingReference, landings_of
 from inclined_landing.eval.gap.measured.usable import UsableFlights
@@ -32,10 +32,8 @@ from inclined_landing.eval.gap.result import Estimate, NamedEffect, ScoredSet, T
 from inclined_landing.models.effects import Effect
 from inclined_landing.models.vehicle import Vehicle
 
-MOST_EFFECTS = 2  # of a set
 SCAN = (0.2, 0.55, 1.1, 2.4, 4.5)  # sizes simulated on both sides of neutral, in plausible sizes
 REFINEMENTS = 2  # grid points added at the mode
-RESCANS = 3  # sets of two that are simulated jointly
 FINE_GRID = np.linspace(-6.0, 6.0, 25)  # posterior standard deviations about the mode, of the sum's terms
 NEWTON_STEPS = 2  # of the marginalised parameters
 CREDIBLE = 0.95  # probability of an interval
@@ -127,10 +125,10 @@ def contact_posterior(
     inflated = 1.0 + len(landings) / sum(reference.count) if reference else 1.0
     engine = _ContactModel(problem, inflated, reference is not None)
     sets, chosen = engine.distribution()
-    values = sets[0].values
-    p_value = common_residual_p_value(problem.landings, engine.residual(values), engine.inflation)
+    sizes = {engine.names[j]: engine.estimate(j, profile) for j, profile in chosen.items()}
+    p_value = common_residual_p_value(problem.landings, engine.residual(sets[0].values), engine.inflation)
     touchdowns = Touchdowns(len(landings), p_value < thresholds.LANDING_RESIDUAL, p_value)
-    return problem, ContactPosterior(sets, engine.estimates(chosen), touchdowns)
+    return problem, ContactPosterior(sets, sizes, touchdowns)
 
 
 @dataclasses.dataclass(frozen=True)
@@ -173,7 +171,7 @@ def contact_answer(
 
 
 def contact_effects(problem: TouchdownProblem, found: ContactPosterior) -> tuple[NamedEffect, ...]:
-    """Return the named contact effects with estimates, most probable first."""
+    """Return the named contact effect with its estimate, if there is one."""
     effects = []
     for name, estimate in found.sizes.items():
         (p,) = problem.library[name].parameters
@@ -192,7 +190,7 @@ def contact_effects(problem: TouchdownProblem, found: ContactPosterior) -> tuple
                 doubt=LAWS_DIFFER if alike else "",
             )
         )
-    return tuple(sorted(effects, key=lambda e: -e.probability))
+    return tuple(effects)
 
 
 def look_alike(problem: TouchdownProblem, name: str, value: float) -> tuple[str, ...]:
@@ -247,13 +245,11 @@ class _ErrorGrid:
 
 @dataclasses.dataclass(frozen=True)
 class _Profile:
-    """Log evidence of a set along a grid of one effect's sizes, the others marginalised."""
+    """Log evidence of an effect, or of none, along a grid of one effect's sizes, the others marginalised."""
 
-    names: EffectSet
-    name: str  # the effect on the grid
     sizes: np.ndarray  # (m,)
     log: np.ndarray  # (d, m) of bootstrap samples (all landings first), prior and spacing included
-    best: np.ndarray  # (P,) posterior mode of all effects, from neutral
+    best: float  # the size at the posterior mode
 
     @property
     def evidence(self) -> np.ndarray:
@@ -267,11 +263,6 @@ class _Marginal(NamedTuple):
     log: np.ndarray  # (m, d) log evidence of bootstrap samples, all landings first
     mode: np.ndarray  # (m, P) posterior mode of all effects, from neutral
     information: np.ndarray  # (m, n, P) about all effects, by landing
-
-
-def _most_probable(profiles: Sequence[_Profile]) -> _Profile:
-    """Return the profile of the highest evidence."""
-    return max(profiles, key=lambda x: float(x.evidence[0]))
 
 
 class _ContactModel:
@@ -289,12 +280,12 @@ class _ContactModel:
         scatter = [one.referred if referred else one.alone for one in laws]
         self.spike = np.hypot(np.array(scatter) * self.slab, spike)
         self.neutral = problem.errors(problem.vehicle)
-        self.scans = [self._scan(j, {}) for j in range(len(self.names))]
+        self.scans = [self._scan(j) for j in range(len(self.names))]
         self.slopes = np.stack([scan.slopes() for scan in self.scans], axis=-1)  # (n, 6, q, P)
         everywhere = np.concatenate([scan.errors for scan in self.scans])
         nearest = everywhere[np.argmin(-log_t(everywhere).sum(axis=(1, 2)))]
         self.inflation = inflated * inflation(nearest, self.slopes)
-        self.scans = [self._refined(j, scan, self._widths({j}), {}) for j, scan in enumerate(self.scans)]
+        self.scans = [self._refined(j, scan) for j, scan in enumerate(self.scans)]
 
     def _errors(self, sizes: Mapping[int, float]) -> np.ndarray:
         """Return the errors (n, 6, q) with effects at `sizes`, by index."""
@@ -305,56 +296,43 @@ class _ContactModel:
         named = {self.names[j]: (self.parameters[j], size) for j, size in sizes.items()}
         return {n: {named[n][0].name: named[n][0].bounded(named[n][1])} for n in self.names if n in named}
 
-    def _scan(self, j: int, beside: Mapping[int, float]) -> _ErrorGrid:
-        """Return the errors simulated on the grid SCAN of effect j, others at the sizes `beside`."""
+    def _scan(self, j: int) -> _ErrorGrid:
+        """Return the errors simulated on the grid SCAN of effect j."""
         p = self.parameters[j]
         grid = np.outer((-1.0, 1.0), SCAN).ravel() * self.slab[j]
         sizes = sorted({p.coordinate(p.bounded(x)) for x in grid} | {0.0})
-        errors = [self._errors({**beside, j: x}) if beside or x else self.neutral for x in sizes]
+        errors = [self._errors({j: x}) if x else self.neutral for x in sizes]
         return _ErrorGrid(np.array(sizes), np.stack(errors))
 
-    def _widths(self, named: set[int]) -> np.ndarray:
-        """Return the prior standard deviations (P,): slabs for the set, spikes for the others."""
-        return np.where(np.isin(np.arange(len(self.names)), list(named)), self.slab, self.spike)
+    def _widths(self, own: int | None) -> np.ndarray:
+        """Return the prior standard deviations (P,): the slab of one effect, spikes for the others."""
+        return np.where(np.arange(len(self.names)) == own, self.slab, self.spike)
 
-    def _coupled_widths(self, named: set[int], j: int, sizes: np.ndarray) -> np.ndarray:
-        """Return the prior standard deviations (m, P) with effect j at sizes (m,), coupled ones widened."""
-        # sigma_k^2 = spike_k^2 + (x_j / slab_j * slab_k)^2  for an effect k that MuJoCo couples with j
-        width = np.tile(self._widths(named), (len(sizes), 1))
-        for other in self.problem.library[self.names[j]].couples_with:
-            if other in self.names and (k := self.names.index(other)) not in named:
-                width[:, k] = np.hypot(width[:, k], sizes / self.slab[j] * self.slab[k])
-        return width
-
-    def _refined(
-        self, j: int, scan: _ErrorGrid, width: np.ndarray, beside: Mapping[int, float]
-    ) -> _ErrorGrid:
+    def _refined(self, j: int, scan: _ErrorGrid) -> _ErrorGrid:
         """Return the grid with a point added at the posterior mode, REFINEMENTS times."""
+        width = self._widths(j)
         for _ in range(REFINEMENTS):
             sizes = _subdivided(scan.sizes, 4)
-            local = self._marginalised(j, scan.at(sizes), width, beside)
+            local = self._marginalised(j, scan.at(sizes), width)
             best = float(sizes[np.argmax(local.log[:, 0] + _log_prior(sizes, width[j]))])
             if np.abs(scan.sizes - best).min() < 1e-3 * self.slab[j]:
                 break
-            scan = scan.with_one(best, self._errors({**beside, j: best}))
+            scan = scan.with_one(best, self._errors({j: best}))
         return scan
 
-    def _marginalised(
-        self, j: int | None, errors: np.ndarray, width: np.ndarray, beside: Mapping[int, float]
-    ) -> _Marginal:
+    def _marginalised(self, j: int | None, errors: np.ndarray, width: np.ndarray) -> _Marginal:
         """Return the evidence of errors (m, n, 6, q), all effects but j marginalised (Laplace).
 
-        width (P,) or (m, P): prior standard deviations; `beside`: sizes that the errors include already.
+        width (P,): prior standard deviations.
         """
         # Mode x by iteratively reweighted least squares (t weights w), Jacobian J, prior precision K:
         #   x += (J'wJ + K)^-1 (J'w e - K x)
         # and, with H = J'wJ + K and h the gradient at x,
         #   log p = sum log t(e) - 1/2 x'K x + 1/2 h'H^-1 h - 1/2 log det H + 1/2 log det K
-        count, every = len(self.names), np.eye(len(self.names))
-        at = np.array([beside.get(k, 0.0) for k in range(count)])
+        count = len(self.names)
         free = np.ones(count) if j is None else np.arange(count) != j
-        precision = np.broadcast_to(width, (len(errors), count)) ** -2.0 * np.where(free, 1.0, 1e12)
-        prior = precision[:, :, None] * every
+        precision = width**-2.0 * np.where(free, 1.0, 1e12)
+        prior = np.diag(precision)
         share = 1.0 / self.inflation
         slopes, m = self.slopes, np.zeros((len(errors), count))
         squares = np.einsum("icqp,icqs->icps", slopes, slopes, optimize=True)
@@ -364,112 +342,71 @@ class _ContactModel:
             b = np.einsum("micq,icqp,mic->mip", residual, slopes, weight, optimize=True)
             a = np.einsum("icps,mic->mips", squares, weight, optimize=True)
             if step < NEWTON_STEPS:
-                h = b.sum(axis=1) - precision * (m + at)
+                h = b.sum(axis=1) - precision * m
                 m = m + np.linalg.solve(a.sum(axis=1) + prior, h[..., None])[..., 0]
         each = (log_t(residual) * share).sum(axis=-1)
-        total = np.einsum("di,mips->mdps", self.weights, a, optimize=True) + prior[:, None]
-        h = np.einsum("di,mip->mdp", self.weights, b) - (precision * (m + at))[:, None]
+        total = np.einsum("di,mips->mdps", self.weights, a, optimize=True) + prior
+        h = np.einsum("di,mip->mdp", self.weights, b) - (precision * m)[:, None]
         square = (h * np.linalg.solve(total, h[..., None])[..., 0]).sum(axis=-1)
-        prior_penalty = (precision * free * (m + at) ** 2).sum(axis=1)[:, None]
+        prior_penalty = (precision * free * m**2).sum(axis=1)[:, None]
         log = each @ self.weights.T - 0.5 * (prior_penalty - square)
-        log -= 0.5 * (np.linalg.slogdet(total)[1] - np.log(precision).sum(axis=1)[:, None])
-        return _Marginal(log, m + at, np.einsum("mipp->mip", a))
+        log -= 0.5 * (np.linalg.slogdet(total)[1] - np.log(precision).sum())
+        return _Marginal(log, m, np.einsum("mipp->mip", a))
 
-    def profile(self, names: EffectSet, j: int, scan: _ErrorGrid, beside: Mapping[int, float]) -> _Profile:
-        """Return the log evidence of a set along a grid of effect j, refined about the mode."""
-        named = {k for k, n in enumerate(self.names) if n in names}
-        width, sizes = self._widths(named), _subdivided(scan.sizes, 2)
-        coarse = self._marginalised(j, scan.at(sizes), self._coupled_widths(named, j, sizes), beside)
+    def profile(self, own: int | None, j: int) -> _Profile:
+        """Return the log evidence of effect `own` (None: of none) along a grid of effect j, refined."""
+        scan, width = self.scans[j], self._widths(own)
+        sizes = _subdivided(scan.sizes, 2)
+        coarse = self._marginalised(j, scan.at(sizes), width)
         k = int(np.argmax(coarse.log[:, 0] + _log_prior(sizes, width[j])))
         spread = 1.0 / math.sqrt(coarse.information[k, :, j].sum() + 1.0 / width[j] ** 2)
         sizes = np.concatenate([sizes, sizes[k] + spread * FINE_GRID])
         sizes = np.unique(np.clip(sizes, scan.sizes[0], scan.sizes[-1]))
-        fine = self._marginalised(j, scan.at(sizes), self._coupled_widths(named, j, sizes), beside)
+        fine = self._marginalised(j, scan.at(sizes), width)
         # p(data | S) = sum_x p(data | x) p(x) dx
-        at = fine.mode.copy()
-        at[:, j] = sizes
         log = fine.log.T + _log_prior(sizes, width[j]) + np.log(np.gradient(sizes))
-        k = int(np.argmax(log[0] - np.log(np.gradient(sizes))))
-        return _Profile(names, self.names[j], sizes, log, at[k])
+        return _Profile(sizes, log, float(sizes[np.argmax(log[0] - np.log(np.gradient(sizes)))]))
 
-    def profiles(self, names: EffectSet) -> list[_Profile]:
-        """Return the profiles of a set along each of its effects (of up to one effect: along all)."""
-        along = [j for j, n in enumerate(self.names) if len(names) < 2 or n in names]
-        return [self.profile(names, j, self.scans[j], {}) for j in along]
-
-    def rescan(self, table: dict[EffectSet, list[_Profile]], names: EffectSet) -> None:
-        """Simulate a set again, each effect's grid with the others at their mode; extend `table` by it.
-
-        The sets without the effect on the grid get a profile along it as well, with its spike prior.
-        """
-        best = _most_probable(table[names]).best
-        own = {k: float(best[k]) for k, n in enumerate(self.names) if n in names}
-        table[names] = []
-        for j in own:
-            others = {k: size for k, size in own.items() if k != j}
-            scan = self._refined(j, self._scan(j, others), self._widths(set(own)), others)
-            table[names].append(self.profile(names, j, scan, others))
-            rest = names - {self.names[j]}
-            table[rest].append(self.profile(rest, j, scan, others))
-
-    def distribution(self) -> tuple[tuple[ScoredSet, ...], list[_Profile]]:
-        """Return the bagged posterior, most probable set first, and the profiles of that set."""
-        share = prior_share(len(self.names))
+    def distribution(self) -> tuple[tuple[ScoredSet, ...], dict[int, _Profile]]:
+        """Return the bagged posterior, most probable first, and the profile of its effect, by index."""
+        share, every = prior_share(len(self.names)), range(len(self.names))
         odds = math.log(share / (1.0 - share))
-        table: dict[EffectSet, list[_Profile]] = {}
-        for count in range(MOST_EFFECTS + 1):
-            for names in itertools.combinations(self.names, count):
-                table[frozenset(names)] = self.profiles(frozenset(names))
-        seen: set[EffectSet] = set()
-        while True:
-            logs = {
-                names: _most_probable(profiles).evidence + len(names) * odds
-                for names, profiles in table.items()
-            }
-            every = np.stack(list(logs.values()))[:, 1:]
-            probability = dict(zip(logs, np.exp(every - logsumexp(every, axis=0)).mean(axis=1)))
-            several = [n for n in logs if len(n) > 1 and n not in seen and probability[n] > REFIT_ABOVE]
-            if not several or len(seen) == RESCANS:
-                break
-            likeliest = max(several, key=probability.__getitem__)
-            self.rescan(table, likeliest)
-            seen.add(likeliest)
-        order = sorted(logs, key=lambda n: (-probability[n], sorted(n)))
-        kept = [n for k, n in enumerate(order) if not k or probability[n] >= thresholds.REPORTED]
-        own = {n: [x for x in table[n] if x.name in n] for n in kept}
-        values = {n: self._values(self._best(own[n])) for n in kept}
-        scored = (ScoredSet(self.problem.ordered(n), float(probability[n]), values[n]) for n in kept)
-        return tuple(scored), own[kept[0]]
+        table = {own: [self.profile(own, j) for j in every] for own in (None, *every)}
+        # The evidence is that along the grid on which the set is most probable.
+        evidence = {
+            own: max((x.evidence for x in profiles), key=lambda of: float(of[0])) + (own is not None) * odds
+            for own, profiles in table.items()
+        }
+        logs = np.stack(list(evidence.values()))[:, 1:]
+        probability = dict(zip(evidence, np.exp(logs - logsumexp(logs, axis=0)).mean(axis=1)))
+        order = sorted(table, key=lambda own: -probability[own])
+        kept = [own for k, own in enumerate(order) if not k or probability[own] >= thresholds.REPORTED]
+        best = [{} if own is None else {own: table[own][own]} for own in kept]
+        values = [self._values({j: x.best for j, x in one.items()}) for one in best]
+        scored = (ScoredSet(tuple(v), float(probability[own]), v) for own, v in zip(kept, values))
+        return tuple(scored), best[0]
 
-    def _best(self, profiles: Sequence[_Profile]) -> dict[int, float]:
-        """Return the posterior mode of a set, by index of the effect."""
-        return {self.names.index(x.name): float(x.best[self.names.index(x.name)]) for x in profiles}
-
-    def estimates(self, profiles: Sequence[_Profile]) -> dict[str, Estimate]:
-        """Return the estimates of a set with credible intervals."""
-        own, result = self._best(profiles), {}
-        for profile in profiles:
-            j = self.names.index(profile.name)
-            p = self.parameters[j]
-            density = np.exp(profile.log[1:] - profile.evidence[1:, None]).mean(axis=0)
-            below = np.cumsum(density) - 0.5 * density
-            ends = np.interp([0.5 - 0.5 * CREDIBLE, 0.5 + 0.5 * CREDIBLE], below, profile.sizes)
-            value = p.bounded(own[j])
-            low, high = (p.bounded(x) for x in ends)
-            result[profile.name] = Estimate(
-                value=value,
-                unit=p.unit,
-                ci95=(min(low, value), max(high, value)),
-                neutral=p.neutral,
-                bounds=p.bounds,
-                at_bound=thresholds.at_bound(value, p.bounds),
-            )
-        return result
+    def estimate(self, j: int, profile: _Profile) -> Estimate:
+        """Return the estimate of effect j with its credible interval."""
+        p = self.parameters[j]
+        density = np.exp(profile.log[1:] - profile.evidence[1:, None]).mean(axis=0)
+        below = np.cumsum(density) - 0.5 * density
+        ends = np.interp([0.5 - 0.5 * CREDIBLE, 0.5 + 0.5 * CREDIBLE], below, profile.sizes)
+        value = p.bounded(profile.best)
+        low, high = (p.bounded(x) for x in ends)
+        return Estimate(
+            value=value,
+            unit=p.unit,
+            ci95=(min(low, value), max(high, value)),
+            neutral=p.neutral,
+            bounds=p.bounds,
+            at_bound=thresholds.at_bound(value, p.bounds),
+        )
 
     def residual(self, values: Values) -> np.ndarray:
         """Return the residual (n, 6, q) at `values`, small (spike) errors of all effects removed."""
         errors = self.problem.errors(self.problem.corrected(values))[None]
-        small = self._marginalised(None, errors, self._widths(set()), {}).mode[0]
+        small = self._marginalised(None, errors, self.spike).mode[0]
         return errors[0] - self.slopes @ small
 
 

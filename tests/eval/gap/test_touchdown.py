@@ -162,7 +162,7 @@ def made_up(monkeypatch, landings, hidden, noise=1.0, seed=0):
 
 
 def test_probabilities_of_sets_of_linear_landings(higher, monkeypatch):
-    """Nothing, one and two hidden effects; what is as small as laws of contact differ is not named."""
+    """Nothing and one hidden effect; what is as small as laws of contact differ is not named."""
     landings = landings_of(higher[0], VEHICLE)
     assert made_up(monkeypatch, landings, {}).names == frozenset()
     assert made_up(monkeypatch, landings, {"friction": 0.1}).names == frozenset()
@@ -170,10 +170,7 @@ def test_probabilities_of_sets_of_linear_landings(higher, monkeypatch):
     found = made_up(monkeypatch, landings, {"platform_height": -0.02})
     assert found.names == {"platform_height"} and found.sets[0].probability > 0.9
     assert found.sets[0].values["platform_height"]["offset"] == pytest.approx(-0.02, abs=0.001)
-    both = made_up(monkeypatch, landings, {"friction": -0.4, "platform_height": 0.015})
-    assert both.names == {"friction", "platform_height"}
-    assert both.sets[0].values["platform_height"]["offset"] == pytest.approx(0.015, abs=0.001)
-    assert sum(s.probability for s in both.sets) == pytest.approx(1.0, abs=0.02)
+    assert sum(s.probability for s in found.sets) == pytest.approx(1.0, abs=0.02)
 
 
 def test_landings_that_contradict_each_other_are_no_certainty():
