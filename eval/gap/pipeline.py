@@ -15,7 +15,6 @@ from inclined_landing.eval.gap import thresholds
 from inclined_landing.eval.gap.answer import selection, sizes
 from inclined_landing.eval.gap.infer.contact import contact_answer
 from inclined_landing.eval.gap.infer.fit import estimate_noise
-from inclined_landing.eval.gap.infer.gaussian import prior_share
 from inclined_landing.eval.gap.infer.heterogeneity import inconsistent_flights, summary_line
 from inclined_landing.eval.gap.infer.residual import analyse_residual
 from inclined_landing.eval.gap.infer.sets import SetPosterior, equivalence_class, search
@@ -104,7 +103,6 @@ def diagnose(
         half_widths=correction.half_widths or {},
         corrected=contact.vehicle,
         sets=contact.sets(scored_sets(found)),
-        unidentifiable_sets=unidentifiable_sets(found),
         touchdowns=contact.posterior.touchdowns if contact.posterior else None,
         disturbance=sizes.disturbances(found.problem),
         residual=residual,
@@ -251,28 +249,4 @@ def scored_sets(found: SetPosterior) -> tuple[ScoredSet, ...]:
         for (name, parameter), known in found.local.parameter_errors(scored.values).items():
             standard_errors[name][parameter] = known.error
         result.append(structs.replace(scored, standard_errors=standard_errors))
-    return tuple(result)
-
-
-def unidentifiable_sets(found: SetPosterior) -> tuple[ScoredSet, ...]:
-    """Return the most probable set extended by each effect that the flights do not excite.
-
-    Such an effect keeps its prior odds and a plausible size. Its first parameter stands for it.
-    """
-    problem, local, best = found.problem, found.local, found.sets[0]
-    share = prior_share(len(problem.library))
-    scored = {one.names for one in found.sets}
-    result = []
-    for name, effect in problem.library.items():
-        names = best.names | {name}
-        own = local.index([name])
-        if names in scored or effect.told_by or not len(own):
-            continue
-        prior = np.sqrt(local.slab[own[0], own[0]])
-        if local.standard_errors(names)[own[0]] < thresholds.UNIDENTIFIABLE * prior:
-            continue
-        width = {p.name: abs(p.size(p.plausible)) for p in effect.parameters}
-        values = {n: dict(best.values[n]) for n in best.effects} | {name: effect.plausible}
-        odds = best.probability * share / (1.0 - share)
-        result.append(ScoredSet(problem.ordered(names), odds, values, {name: width}))
     return tuple(result)

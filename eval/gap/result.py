@@ -292,8 +292,6 @@ class Diagnosis:
     heldout: tuple[str, ...]  # names of the flights whose errors decide: held out, or left out in turn
     notes: tuple[str, ...]  # what limits this diagnosis, in sentences
     touchdowns: Touchdowns | None = None  # None: too few to name effects of contact
-    # With effects that the flights could not have shown, at prior odds.
-    unidentifiable_sets: tuple[ScoredSet, ...] = ()
     inconsistent_flights: tuple[InconsistentFlights, ...] = ()  # flights that contradict the others
     set_aside: tuple[SetAside, ...] = ()  # flights that cannot be used
     # Values of all effects that were estimated again; empty where none was.

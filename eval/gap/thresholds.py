@@ -121,10 +121,8 @@ MUCH_LARGER = 1.75  # If the error that names leave is more than this many times
 
 # Identifiability
 
-UNIDENTIFIABLE = 0.7  # If the posterior deviation of an effect over its prior one exceeds this, then the
-# flights do not excite it. Larger: more effects count as identified, by less. Measured: -
-ROUGH = 0.2  # If that ratio exceeds this, then the effect is poorly identified, and what is confounded with
-# it is listed. Larger: shorter lists. Measured: -
+ROUGH = 0.2  # If the posterior deviation of an effect over its prior one exceeds this, then the effect is
+# poorly identified, and what is confounded with it is listed. Larger: shorter lists. Measured: -
 UNMET = 0.95  # If that ratio exceeds this, then identification says nothing of the effect, and flights that
 # meet it name it. Larger: fewer effects left to later flights. Measured: -
 CORRELATED = 0.8  # If the posterior correlation of two effects of an identified vehicle exceeds this, then

@@ -36,7 +36,6 @@ class _Report(Struct, frozen=True):
     """The entries of report.json that a plan needs; all others are ignored."""
 
     sets: Annotated[list[ScoredSet], Meta(min_length=1)]
-    unidentifiable_sets: list[ScoredSet] = []
     immaterial: list[str] = []
     platform: bool = False
     disturbance: dict[str, _Level] = {}
@@ -57,14 +56,12 @@ class PlanInput:
     def of(report: Diagnosis | _Report, vehicle: Vehicle, reference: VehiclePosterior) -> PlanInput:
         """Return the input from a diagnosis; vehicle: the one diagnosed, reference: its posterior."""
         hypotheses: dict[tuple[str, ...], ScoredSet] = {}
-        for one in (*report.sets, *report.unidentifiable_sets):
+        for one in report.sets:
             names = tuple(n for n in one.effects if not (LIBRARY[n].contact or n in report.immaterial))
             values = {n: one.values[n] for n in names}
             same = hypotheses.get(names, ScoredSet(names, 0.0, values, one.standard_errors))
             hypotheses[names] = structs.replace(same, probability=same.probability + one.probability)
         probabilities = {n: marginal(report.sets, (n,)) for one in report.sets for n in one.effects}
-        for one in report.unidentifiable_sets:  # the best set and one effect more, which has its prior odds
-            probabilities |= {n: one.probability for n in one.effects if n not in probabilities}
         typical = NoiseLevels.typical()
         levels = np.array([typical.noise, typical.disturbance, typical.time])
         for k, channel in enumerate(POSE_CHANNELS):
@@ -98,8 +95,7 @@ def read_report(folder: Path) -> tuple[PlanInput, Path | None]:
     diagnosed, shipped = load_vehicle(vehicle), load_vehicle()
     usual = all(getattr(diagnosed, name) == getattr(shipped, name) for name in ROOM)
     content = schema.parse(data, _Report, where)
-    for kind in ("sets", "unidentifiable_sets"):
-        _check(getattr(content, kind), diagnosed, f"{where}{kind}")
+    _check(content.sets, diagnosed, f"{where}sets")
     if sum(one.probability for one in content.sets) <= 0.0:
         raise UserError(f"{where}no set has a probability above 0")
     found = PlanInput.of(content, diagnosed, read_reference(vehicle, diagnosed)[0])

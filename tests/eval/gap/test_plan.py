@@ -35,7 +35,7 @@ THRUST = ScoredSet(("thrust_scale",), 0.5, {"thrust_scale": {"scale": 0.95}})
 
 def plan_input(*hypotheses):
     """The input of a plan for a report with these sets."""
-    report = SimpleNamespace(sets=hypotheses, unidentifiable_sets=(), disturbance={}, immaterial=())
+    report = SimpleNamespace(sets=hypotheses, disturbance={}, immaterial=())
     report.platform = False
     return PlanInput.of(report, VEHICLE, VehiclePosterior.of_file(None, VEHICLE))
 
@@ -256,12 +256,9 @@ def test_the_command_writes_the_same_flight_and_it_reads_as_a_log(plan, tmp_path
     assert "not empty" in capsys.readouterr().err
 
 
-def test_what_flights_could_not_show_is_sought_too(tmp_path):
-    """Nothing but an effect near the floor is open: the flight goes there."""
+def test_what_shows_near_the_floor_is_sought_there(tmp_path):
     ground = ScoredSet(("ground_effect",), 0.03, {"ground_effect": LIBRARY["ground_effect"].plausible})
-    row = {"effects": ["ground_effect"], "probability": 0.03, "values": ground.values}
-    folder = report(tmp_path, ScoredSet((), 0.9, {}), unidentifiable_sets=[row])
-    doubt, _ = read_report(folder)
+    doubt, _ = read_report(report(tmp_path, ScoredSet((), 0.9, {}), ground))
     assert [h.effects for h in doubt.hypotheses] == [(), ("ground_effect",)]
     discrimination = ModelDiscrimination(doubt.hypotheses, VEHICLE, doubt.noise_levels)
     gains = {k: discrimination.gain(gram(discrimination, points(k))) for k in ("low_hover", "run")}
