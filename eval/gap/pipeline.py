@@ -74,11 +74,10 @@ def diagnose(
         searched = probable_sets(usable.fitted, vehicle, candidates, reference)
     inconsistent = inconsistent_flights(searched.problem, searched.linear)
 
-    # Which effects are named? Those that matter, of these those that predict flights left out, and of these
-    # those that have a firm size or show one second ahead. From here on the posterior is the one linearised
-    # where these effects are.
-    relevant = selection.relevant_values(searched)
-    useful = selection.useful_values(searched, relevant)
+    # Which effects are named? Those that matter and predict flights left out, and of these those that have a
+    # firm size or show one second ahead. From here on the posterior is the one linearised where these effects
+    # are.
+    useful = selection.useful_values(searched, selection.probable_names(searched))
     found, values = selection.distinct_values(searched, useful)
 
     # How wrong is the vehicle before and after its correction by them, and does anything else repeat?

@@ -95,25 +95,11 @@ class Refit:
         return self.pose_errors[errors] / np.maximum(other.pose_errors[errors], 1e-12)
 
 
-def relevant_values(found: SetPosterior) -> FittedValues:
-    """Return the values of the probable effects that are large enough to matter.
-
-    These are the effects of the most probable set whose equivalence class has the probability NAMED. The one
-    that explains least is dropped, one at a time, until each of the others explains a share RELEVANT of the
-    squared error in a channel, or an error one second ahead grows by USEFUL without it, as few windows may
-    show it. (With many flights even a change too small to matter is certain.)
-    """
-    names = frozenset(
+def probable_names(found: SetPosterior) -> EffectSet:
+    """Return the effects of the most probable set whose equivalence class has the probability NAMED."""
+    return frozenset(
         n for n in found.names if found.probability(*equivalence_class(found, n)) >= thresholds.NAMED
     )
-    while True:
-        values = fitted_values(found, names)
-        shares = _explained_shares(found.problem, values)
-        small = sorted((n for n in shares if shares[n] < thresholds.RELEVANT), key=lambda n: shares[n])
-        irrelevant = next((n for n in small if not _shows_ahead(found, values, n)), None)
-        if irrelevant is None:
-            return values
-        names -= {irrelevant}
 
 
 def _explained_shares(problem: Problem, values: Values) -> dict[str, float]:
@@ -126,39 +112,45 @@ def _explained_shares(problem: Problem, values: Values) -> dict[str, float]:
     return shares
 
 
-def useful_values(found: SetPosterior, values: FittedValues) -> FittedValues:
-    """Return the values of the effects without which flights left out are predicted worse.
+def useful_values(found: SetPosterior, names: EffectSet) -> FittedValues:
+    """Return the values of the effects that matter, and without which flights left out are predicted worse.
 
     This is a backward elimination by the open-loop errors one second ahead: of the effects that flights left
     out do not need (`_fit_if_unneeded`), the one without which its main error grows least is dropped, one at
-    a time. None is dropped if no stretch of the flights is long enough.
+    a time.
     """
-    # No set of effects is exactly true: one may be certain from its windows and mislead all the same.
-    fit = fitted_to_others(found, frozenset(values))
+    # No set of effects is exactly true: one may be certain from its windows and mislead all the same. With
+    # many flights, even one that is too small to matter is certain.
+    fit = fitted_to_others(found, names)
     while True:
+        shares = _explained_shares(found.problem, fit.values)
         unneeded: list[tuple[float, Refit]] = []
         for name in sorted(fit.values):
             errors = judged_by(found.problem.library[name])
-            if errors and (rest := _fit_if_unneeded(found, fit, name, errors)):
-                unneeded.append((rest.growth_of(errors, fit)[0], rest))
+            if rest := _fit_if_unneeded(found, fit, name, errors, shares[name] < thresholds.RELEVANT):
+                growth = rest.growth_of(errors, fit)
+                unneeded.append((float(np.nan_to_num(growth[0])) if errors else 0.0, rest))
         if not unneeded:
             return fit.values
         _, fit = min(unneeded, key=lambda one: one[0])
 
 
-def _fit_if_unneeded(found: SetPosterior, fit: Refit, name: str, errors: list[int]) -> Refit | None:
-    """Return the fit without an effect that flights left out do not need; None for one that they need.
+def _fit_if_unneeded(
+    found: SetPosterior, fit: Refit, name: str, errors: list[int], small: bool
+) -> Refit | None:
+    """Return the fit without an effect that the flights do not need; None for one that they need.
 
-    They need it if the first of its `errors` (see `judged_by`) grows without it, the other effects fixed; or
-    if one of these grows by USEFUL without it, the other effects fitted again.
+    They need it if one of its `errors` (see `judged_by`) grows by USEFUL without it, the other effects fitted
+    again; or, unless it is too small to matter, if the first of these grows with the others fixed. Of an
+    effect that is not small, errors that were not measured, for want of a second of flight, count as grown.
     """
     rest = frozenset(fit.values) - {name}
-    fixed = dataclasses.replace(fit, left_out=[{n: v[n] for n in rest} for v in fit.left_out])
-    main = errors[0]
-    if not fixed.pose_errors[main] <= fit.pose_errors[main]:  # NaN, not measured: it is kept
-        return None
+    if not small:
+        fixed = dataclasses.replace(fit, left_out=[{n: v[n] for n in rest} for v in fit.left_out])
+        if not (errors and fixed.pose_errors[errors[0]] <= fit.pose_errors[errors[0]]):
+            return None
     again = fitted_to_others(found, rest)
-    return again if again.growth_of(errors, fit).max() <= 1.0 + thresholds.USEFUL else None
+    return None if (again.growth_of(errors, fit) > 1.0 + thresholds.USEFUL).any() else again
 
 
 def distinct_values(found: SetPosterior, values: FittedValues) -> tuple[SetPosterior, FittedValues]:
@@ -168,21 +160,19 @@ def distinct_values(found: SetPosterior, values: FittedValues) -> tuple[SetPoste
     """
     found, values = refitted(found, values)
     named = values
-    while (least := _least_distinct(found, named)) is not None:
+    while True:  # `named` has the largest first
+        firm = firm_names(found, named)
+        least = next((n for n in reversed(named) if not _is_distinct(found, named, n, firm)), None)
+        if least is None:
+            return refitted(found, named) if len(named) < len(values) else (found, values)
         named = _largest_first(found.problem, fitted_values(found, frozenset(named) - {least}))
-    return refitted(found, named) if len(named) < len(values) else (found, values)
-
-
-def _least_distinct(found: SetPosterior, values: FittedValues) -> str | None:
-    """Return the smallest of the effects that are not distinct; `values` has the largest first."""
-    firm = firm_names(found, values)
-    return next((name for name in reversed(values) if not _is_distinct(found, values, name, firm)), None)
 
 
 def _is_distinct(found: SetPosterior, values: FittedValues, name: str, firm: Set[str]) -> bool:
     """Return whether an effect is to be named: it must have a firm size, or show one second ahead.
 
-    Without either, other effects explain it. For two kinds of effects one of these is not enough:
+    Without either, other effects explain it: three of 127 cases would get an attitude effect that is not
+    there. For two kinds of effects one of these is not enough:
     - A change of the loops alone, next to a larger effect, must have both, because no loop is quite of the
       modelled form and the vehicle's constants are estimated again. If no effect is firm, it is enough that
       it shows. Pieces of the attitude loops have one size together, and need not show each.
@@ -226,10 +216,9 @@ def judged_by(effect: Effect) -> list[int]:
 
 def _shows_ahead(found: SetPosterior, values: FittedValues, name: str) -> bool:
     """Return whether an error one second ahead grows by USEFUL without an effect, others fitted again."""
-    errors = judged_by(found.problem.library[name])
+    errors, names = judged_by(found.problem.library[name]), frozenset(values)
     if not errors:
         return False
-    names = frozenset(values)
     here, rest = (fitted_to_others(found, n).pose_errors[errors] for n in (names, names - {name}))
     return bool((rest > (1.0 + thresholds.USEFUL) * here).any())
 

@@ -259,7 +259,7 @@ def test_names_that_do_not_predict_better_are_dropped(wrong, monkeypatch):
     found = sets.search(*estimate_noise(problem))
     given = {"thrust_scale": {"scale": 0.88}} | wrong
     monkeypatch.setattr(selection, "fitted_values", lambda _, names: {n: given[n] for n in names})
-    kept = selection.useful_values(found, given)
+    kept = selection.useful_values(found, frozenset(given))
     assert kept == {"thrust_scale": {"scale": 0.88}}
 
 
