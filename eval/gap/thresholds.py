@@ -43,7 +43,8 @@ LAG_RATE = 0.99 * LEAST_RATE  # rows per second, less 1 % for rounded steps: if 
 LEAST_LANDINGS = 6  # If there are fewer touchdowns, then no effect of contact is named. Larger: fewer flights
 # tell of contact. Measured: twelve landings on two engines: 0 of 14 sure names wrong
 STRONG_WIND = 0.05  # If the steady sideways force over the weight exceeds this, then loops and lags are not
-# judged. Larger: loops named for moments of stronger winds. Measured: -, see docs/evidence/known_causes.md
+# judged. Larger: loops named for moments of stronger winds. Measured: without it,
+# seven loops are named besides the wind of neural-fly (docs/evidence/known_causes.md)
 
 # Inconsistent flights
 
@@ -112,7 +113,8 @@ LANDING_RESIDUAL = 0.05  # This is the rate of the chi-squared test that landing
 MOSTLY = 0.5  # If more than this share of the squared one-second error that is left repeats, then no name is
 # sure, unless the error left does not exceed the reference's, and this squared is at most MATERIAL of the
 # squared error before. Larger: fewer names doubted, more wrong ones sure. Measured: two propellers cut, sure
-# in 2 of 29 conditions, both wrong; last, 1 of 72 right answers doubted
+# in 2 of 29 conditions, both wrong; last, 1 of 72 right answers doubted; without the exception, nine recorded
+# and firmware answers are `unknown`
 MUCH_LARGER = 1.75  # If the error that names leave is more than this many times that of the reference's
 # flights, then none of them is sure. Larger: fewer names doubted, more wrong ones sure. Measured: six, causes
 # outside the library: `unknown` in 6 of 7, a wrong name sure in 1; recorded, load sure in 6 of 6

@@ -48,7 +48,9 @@ REDUNDANT = (  # of these one is a combination of the others
     *(frozenset((f"weak_rotor_{k}", "yaw_imbalance")) for k in range(1, 5)),
 )
 LEFT_OUT = 30.0  # nat, for each of a redundant set: odds of 1e-13
-SWING_START = 2.0  # nat, by hand, as of four numbers known to 0.6 of their prior deviations: 4 log 1/0.6
+# nat, by hand, as of four numbers known to 0.6 of their prior deviations, 4 log 1/0.6: without it slung loads
+# are possible in flights that carry none (CrazyPAD).
+SWING_START = 2.0
 MOST_EFFECTS = 16  # of a set
 EXCHANGES = 2  # fits with another effect in the place of each one of the best set
 MOST_FITS = 12  # sets fitted through the simulator
@@ -60,7 +62,7 @@ NEWTON_STEPS = 3
 STEP_TOLERANCE = 0.5  # negligible sizes: a smaller Newton step ends the iteration
 LINEARISATIONS = 3  # points whose log evidences are averaged
 SIMULATED = 1.25  # simulated squared error of a probable set over the least of all, above: it is dropped
-SUBSET = 0.02  # the same over that of a subset
+SUBSET = 0.02  # the same over that of a subset: without it two RotorPy cases are undecided
 REFIT_ABOVE = 0.03  # probability of a neighbour above which it is fitted through the simulator
 
 
