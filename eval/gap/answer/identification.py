@@ -34,7 +34,7 @@ from inclined_landing.eval.gap.infer.residual import reference_residual, white_r
 from inclined_landing.eval.gap.infer.sets import leave_one_out
 from inclined_landing.eval.gap.measured.landings import LandingReference
 from inclined_landing.eval.gap.measured.usable import UsableFlights, fingerprint, usable_flights
-from inclined_landing.eval.gap.measured.windows import WINDOW_REGIMES, MeasuredFlight
+from inclined_landing.eval.gap.measured.windows import WINDOW_REGIMES
 from inclined_landing.eval.gap.model.columns import (
     BASE,
     BaseColumn,
@@ -132,9 +132,11 @@ def identify(
     library, unidentifiable = identifiable_effects(
         {n: e for n, e in LIBRARY.items() if not (e.contact or e.told_by) and e.identified}, use.fitted
     )
-    fitted, kept = _fitted(use, vehicle, library), frozenset[str]()
-    if large := fitted.large_beyond_slopes():  # slopes at neutral may have led to a worse minimum
-        other = _fitted(use, vehicle, without(library, *large))
+    fitted, kept = _Fit.of(use, vehicle, library), frozenset[str]()
+    # Slopes at neutral may have led to a worse minimum: without this, flights of a vehicle in which nothing
+    # has changed are `unknown`.
+    if large := fitted.large_beyond_slopes():
+        other = _Fit.of(use, vehicle, without(library, *large))
         if other.ahead.get("after", math.inf) < fitted.ahead.get("after", math.inf):
             fitted, kept = other, large
     linear = fitted.problem.linearise(fitted.joint, fitted.problem.all_columns())
@@ -190,21 +192,23 @@ class _Fit:
     ahead: dict[str, float]
 
     @staticmethod
-    def of(problem: Problem, joint: FittedValues, heldout: list[MeasuredFlight]) -> _Fit:
-        """Return the posterior mode; joint: values to begin with; heldout: see `identify`."""
+    def of(use: UsableFlights, vehicle: Vehicle, library: Mapping[str, Effect]) -> _Fit:
+        """Return the posterior mode of all effects of a library, with the noise of the flights estimated."""
+        problem, joint = estimate_noise(Problem.of(use.fitted, vehicle, library, model_errors=1.0))
+        # The vehicle is the best fit without model errors, which a vehicle file cannot represent.
+        joint = {n: joint[n] for n in problem.library}
+        joint = fit_least_squares(problem, joint, prior=slab_deviations).values
         names, columns = frozenset(problem.library), problem.all_columns()
-        start = {n: joint[n] for n in problem.library}
-        spread = Spread.of(problem, problem.linearise(start, columns))
-        values = _idle_references(problem, fit_vehicle(problem, spread, start, names)[0])
+        spread = Spread.of(problem, problem.linearise(joint, columns))
+        values = _idle_references(problem, fit_vehicle(problem, spread, joint, names)[0])
         local = LinearGaussian.of(problem, spread, problem.linearise(values, columns))
         every = (values, *leave_one_out(problem, local, names, values))
         own, *left_out = map(_without_place, every)
-        refit, before = Refit(problem, own, left_out), problem.vehicle
-        judged, vehicles = refit.judged(heldout)
-        ahead = {}
+        refit, ahead = Refit(problem, own, left_out), {}
+        judged, vehicles = refit.judged(use.judged)
         with contextlib.suppress(UserError):  # no stretch of a second
-            ahead = _errors_ahead(rollout.RolloutWindows.of(judged), before, vehicles)
-        return _Fit(problem, start, values, local, refit.vehicle, ahead)
+            ahead = _errors_ahead(rollout.RolloutWindows.of(judged), vehicle, vehicles)
+        return _Fit(problem, joint, values, local, refit.vehicle, ahead)
 
     def large_beyond_slopes(self) -> frozenset[str]:
         """Return the effects of more than a plausible size that are not linear in all of their numbers.
@@ -280,15 +284,6 @@ def _without_place(values: Values) -> FittedValues:
     return {n: dict(v) for n, v in values.items() if not LIBRARY[n].of_the_place}
 
 
-def _fitted(use: UsableFlights, vehicle: Vehicle, library: Mapping[str, Effect]) -> _Fit:
-    """Return the vehicle fitted to flights, with their noise estimated."""
-    problem, joint = estimate_noise(Problem.of(use.fitted, vehicle, library, model_errors=1.0))
-    # The vehicle is the best fit without model errors, which a vehicle file cannot represent.
-    joint = {n: joint[n] for n in problem.library}
-    joint = fit_least_squares(problem, joint, prior=slab_deviations).values
-    return _Fit.of(problem, joint, use.judged)
-
-
 def _idle_references(problem: Problem, values: FittedValues) -> FittedValues:
     """Return values in which effects of negligible size have neutral references if the flights allow it.
 
@@ -323,13 +318,8 @@ def problem_about(problem: Problem, vehicle: Vehicle) -> Problem:
     """Return the problem of all effects that free flights can show, about the identified vehicle."""
     free = {name: effect for name, effect in free_effects().items() if effect.identified}
     library, _ = identifiable_effects(free, problem.flights)
-    return with_library(dataclasses.replace(problem, vehicle=vehicle), library)
-
-
-def with_library(problem: Problem, library: Mapping[str, Effect]) -> Problem:
-    """Return a problem with other effects and the same noise."""
     return dataclasses.replace(
-        Problem.of(problem.flights, problem.vehicle, library, model_errors=1.0),
+        Problem.of(problem.flights, vehicle, library, model_errors=1.0),
         noise_model=problem.noise_model,
         weight=problem.weight,
         inflation=problem.inflation,

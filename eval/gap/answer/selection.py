@@ -279,6 +279,7 @@ def corrected(found: SetPosterior, values: FittedValues) -> Refit:
     """Return the correction by the named effects at `values`.
 
     All effects of an identified vehicle are estimated again where that predicts flights left out better.
+    Without this, recorded winds, a load and a centre of mass leave so much error that no name is sure.
     """
     problem, names, named_alone = found.problem, frozenset(values), Refit.of(found, values)
     if not (problem.identified and values):

@@ -37,7 +37,9 @@ from inclined_landing.eval.gap.model.problem import Linearisation, Problem
 # These widths were chosen by hand.
 SPIKE = 0.35  # standard deviation of the spike, in negligible sizes: one of 230 exceeds such a size
 BETWEEN = 0.35  # least between-flight standard deviation, in negligible sizes: as of the spike
-LARGE = 4.0  # slab widths of the second, wider component of the slab: sizes have heavy tails
+# Slab widths of the second, wider component of the slab: sizes have heavy tails. Without it a changed
+# attitude gain in recorded flights is only possible, and a thrust scale is sure next to a load.
+LARGE = 4.0
 LARGE_ODDS = 0.25  # of that component to the first: weights 1/5 and 4/5
 LARGE_BEYOND = 2.0  # slab widths: a size below is never more probable by the wider component
 # Flights are sampled with the same seed every time. A sample may lack what only few flights show: in the
