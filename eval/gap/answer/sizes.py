@@ -179,8 +179,8 @@ def thrust_over_weight(found: SetPosterior, values: Values) -> Quantity | None:
     """Return thrust over weight, over the modelled one, at the flights' usual command.
 
     The interval covers the other probable sets too, and what the flights of an identified vehicle left
-    uncertain of its own at this command. None where no named effect changes it, or one alone that is this
-    ratio.
+    uncertain of its own at this command, without which fewer recorded sizes are in their intervals. None
+    where no named effect changes it, or one alone that is this ratio.
     """
     named = thrust_of_names(found, values)
     if named is None or not found.problem.identified:

@@ -52,7 +52,9 @@ LEFT_OUT = 30.0  # nat, for each of a redundant set: odds of 1e-13
 # are possible in flights that carry none (CrazyPAD).
 SWING_START = 2.0
 MOST_EFFECTS = 16  # of a set
-EXCHANGES = 2  # fits with another effect in the place of each one of the best set
+# Fits with another effect in the place of each one of the best set: without these a recorded load has a wrong
+# sure name.
+EXCHANGES = 2
 MOST_FITS = 12  # sets fitted through the simulator
 # Differences of log posterior odds from the best set:
 FIT_WITHIN = 6.0  # a neighbour predicted to be this close is fitted through the simulator

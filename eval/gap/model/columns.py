@@ -123,7 +123,8 @@ FITTING = {
     "estimator_delay": Fitting(parameters=_delay(0.003)),
     "slung_load": Fitting(starts=_LOADS),
     # Its speed follows from its force by a drag that was identified at other air speeds: speeds of fans came
-    # out 1.3 to 1.7 times as high, one in another simulator twice.
+    # out 1.3 to 1.7 times as high, one in another simulator twice. Without this
+    # and the width of thrust over weight, intervals contain 3 of 7 and 3 of 5 recorded sizes, not 5 and 5.
     "wind": Fitting(extrapolated=0.3),
     "rotor_drag": Fitting(forms=("translation speed", "translation late"), form_deviation=0.15),
     "com_offset": Fitting(
