@@ -181,7 +181,7 @@ def test_thrust_over_weight_is_that_of_all_names_together():
 
 def test_a_speed_of_wind_is_known_no_better_than_drag_at_other_speeds():
     """3 m/s, known to 0.1 by the flights, by a drag that is 30 % uncertain there, a mass without."""
-    known = ParameterErrors(0.1, np.zeros(1), 0.0)
+    known = ParameterErrors(0.1, 0.0)
     values = {"wind": {"x": 3.0, "y": 0.0}, "mass": {"scale": 1.2}}
     keys = [("wind", "x"), ("wind", "y"), ("mass", "scale")]
     local = SimpleNamespace(parameter_errors=lambda _: dict.fromkeys(keys, known))
