@@ -8,7 +8,7 @@ from __future__ import annotations
 import numpy as np
 
 ABOVE = 0.45  # m over the height at rest, along the platform's normal, of the point
-CLEAR = 0.35  # m over that height, which the vehicle keeps on its way there
+LOWEST = 0.35  # m over the height at rest, which the vehicle keeps on its way there
 SINK = 0.25  # m/s into the platform at the end of the descent
 STIFFNESS, DAMPING = 9.0, 5.0  # 1/s2 and 1/s, gains on the errors of position and velocity
 FARTHEST = 0.6  # m, limit of the position error

@@ -309,18 +309,17 @@ def _usual(config: TrainConfig, kind: type[Task], dimensions: int) -> Training:
     """Return the defaults of a task in the case that the options select."""
     from inclined_landing.envs.tasks.training import in_case
 
-    training = kind.training
     is_drawn = dimensions in kind.draws_vehicles_in and config.fastest is None and not config.nominal
-    if kind.training_case == "touchdown":
-        training = in_case(training, "touchdown", "touchdown" if dimensions == 3 else "touchdown-2d")
+    case = kind.training_case
+    if case == "touchdown":
+        case = "touchdown" if dimensions == 3 else "touchdown-2d"
+    elif is_drawn and dimensions == 3:
+        case = "drawn-space"
+    elif is_drawn and (config.randomise is not None or config.steepest is not None):
+        case = "drawn-slopes"
     elif is_drawn:
-        if dimensions == 3:
-            case = "drawn-space"
-        elif config.randomise is not None or config.steepest is not None:
-            case = "drawn-slopes"
-        else:
-            case = "drawn" if config.start_from is None else "drawn-from"
-        training = in_case(training, "landing", case)
+        case = "drawn" if config.start_from is None else "drawn-from"
+    training = in_case(kind.training, kind.training_case, case)
     if config.nominal:
         training = dataclasses.replace(training, randomise=None, history=0, all_commands=False)
     elif config.fastest is not None:

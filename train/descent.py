@@ -15,7 +15,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from inclined_landing.envs.approach import ABOVE, CLEAR, DAMPING, LEAST_LIFT, SINK, STIFFNESS, limited_error
+from inclined_landing.envs.approach import ABOVE, DAMPING, LEAST_LIFT, LOWEST, SINK, STIFFNESS, limited_error
 from inclined_landing.envs.tasks import StepContext
 from inclined_landing.envs.tasks.touchdown import InclinedTouchdown
 from inclined_landing.models import surface
@@ -74,7 +74,7 @@ class Descent:
         first = (self._rest + ABOVE) * normal + DOWNHILL * along
         behind = limited_error(first, place)
         height = (place * normal).sum(axis=1) - self._rest
-        behind += np.maximum(0.0, CLEAR - height)[:, None] * normal
+        behind += np.maximum(0.0, LOWEST - height)[:, None] * normal
         there = STIFFNESS * behind - DAMPING * velocity
 
         change = (self._lead + 1.0 / self._bandwidth) * jerk + self._lead / self._bandwidth * snap

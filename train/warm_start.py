@@ -43,11 +43,11 @@ CRITIC_FIRST = 65_536  # environment steps in which the actor is left alone
 CUT_HEIGHT = 0.08  # m over the surface, of the centre of mass
 _IDLE = IDLE_ACTION - 0.4  # imitated idle action: remains below IDLE_ACTION under exploration noise
 _LOWEST = IDLE_ACTION + 0.05  # lower clip of the imitated thrust action; -1 commands idle
-# DAgger: rounds (a law needs more than a policy, whose weights are taken over), control steps of a vehicle in
-# each, passes over all states so far, minibatch, Adam's learning rate, standard deviation of the noise
-# on the actions.
-_ROUNDS, _ROUNDS_OF_LAW = 4, 8
-_STEPS, _EPOCHS, _BATCH, _RATE, _NOISE = 200, 15, 1024, 1e-3, 0.2
+_ROUNDS, _ROUNDS_OF_LAW = 4, 8  # of DAgger; a law needs more than a policy, whose weights are taken over
+_STEPS = 200  # control steps of a vehicle in a round
+_EPOCHS = 15  # passes in a round over all states so far
+_BATCH, _RATE = 1024, 1e-3  # minibatch, learning rate of Adam
+_NOISE = 0.2  # standard deviation of the noise on the actions
 
 
 def teacher(name: str, task: Task, vehicle: Path | None) -> Policy | Descent:

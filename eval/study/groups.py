@@ -76,8 +76,7 @@ def _fly(policy: Policy, plant: str, scales: Sequence[float], seed: int) -> Iter
     """Yield the flights from all groups of starts for each scale; motors are cut in the frozen set."""
     groups = policy.task.evaluation_groups(seed)
     counts = [len(group) for group in groups.values()]
-    *random, _ = counts  # the last group is the frozen set
-    starts, cut_from = joined(list(groups.values())), sum(random)
+    starts, cut_from = joined(list(groups.values())), sum(counts[:-1])  # the last group is the frozen set
     variants = [(policy.task.vehicle, scale) for scale in scales]
     for flights in fly_each(policy, starts, plant, variants, cut_from=cut_from):
         yield flights.assign(starts=np.repeat(list(groups), counts), slope=slope_words(policy.task))

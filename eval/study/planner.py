@@ -17,7 +17,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from inclined_landing.envs.approach import ABOVE, CLEAR, DAMPING, LEAST_LIFT, SINK, STIFFNESS, limited_error
+from inclined_landing.envs.approach import ABOVE, DAMPING, LEAST_LIFT, LOWEST, SINK, STIFFNESS, limited_error
 from inclined_landing.envs.tasks import StepContext
 from inclined_landing.models import geometry, surface
 from inclined_landing.models.attitude import VX, VZ, YAW, Z
@@ -84,7 +84,7 @@ class Planner:
         target = np.where(waiting[:, None], first, self._way[0])
         behind = limited_error(target, place)
         height = (place * normal).sum(axis=1) - self._rest
-        behind += (waiting * np.maximum(0.0, CLEAR - height))[:, None] * normal
+        behind += (waiting * np.maximum(0.0, LOWEST - height))[:, None] * normal
         wanted = STIFFNESS * behind + DAMPING * (np.where(waiting[:, None], 0.0, self._way[1]) - velocity)
         wanted += np.where(waiting[:, None], 0.0, self._way[2]) + self._platform_push
         commands = self._commands(wanted, state[:, YAW])
