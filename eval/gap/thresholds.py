@@ -55,6 +55,8 @@ EXCITED = 0.7  # If a flight's standard error of an effect, over the prior devia
 # is compared in the effect. Larger: more effects compared, each with less power. Measured: -
 DIFFERS_ALIKE = 0.05  # If the likelihood ratio of an effect to the best one exceeds this, then it too may be
 # what differs. Larger: fewer alternatives listed. Measured: -
+DIFFERS_BESIDE = 0.5  # If a larger share than this of an effect's information is not confounded with others,
+# then it differs as well. Larger: fewer differences. Measured: -
 
 # Named: sure or possible
 

@@ -1,4 +1,4 @@
-"""Heterogeneity of flights: which of them are inconsistent with the others, and in which effect.
+"""Heterogeneity of flights: which of them are inconsistent with the others, and in which effects.
 
 Every flight has an estimate of each effect relative to the common fit, small random effects allowed for
 (`gaussian.BETWEEN`, and `Variation.manoeuvre` of the effects). The flights are split in two groups whose
@@ -182,6 +182,7 @@ class _Split:
     group: tuple[int, ...]  # the smaller group
     others: tuple[int, ...]
     level: float  # p-value, corrected for multiple testing
+    tested: int  # number of effects tested
 
     def membership(self, flights: Sequence[int]) -> np.ndarray:
         """Return the membership (1, n) of the smaller group among some flights."""
@@ -206,54 +207,90 @@ def _most_significant_split(table: _FlightInformation, remaining: np.ndarray) ->
         if p[k] < thresholds.INCONSISTENT and (best is None or p[k] < best.level):
             group = tuple(map(int, flights[members[k]]))
             others = tuple(int(f) for f in remaining if f not in group)
-            best = _Split(name, group, others, float(p[k]))
+            best = _Split(name, group, others, float(p[k]), len(exciting))
     return best
 
 
 def _described_split(
     problem: Problem, table: _FlightInformation, split: _Split, values: Values
 ) -> InconsistentFlights:
-    """Return the contrast of two groups in one effect, with the effects confounded with it."""
-    flights, others = split.group + split.others, []
+    """Return the contrast of two groups in effects chosen by forward selection and fitted jointly."""
+    chosen, confounded = [split.name], {}
+    flights, known = split.group + split.others, []  # effects that both groups excite
     for name in table.own:
         exciting = set(table.exciting(name, np.array(flights)))
-        if name != split.name and exciting >= set(split.group) and len(exciting & set(split.others)) > 1:
-            others.append(_split_test(table, split, name))
-    own, index = _split_test(table, split, split.name), table.own[split.name]
-    likely = [r for r in others if r.likelihood > own.likelihood + math.log(thresholds.DIFFERS_ALIKE)]
-    confounded = tuple(r.name for r in sorted(likely, key=lambda r: -r.likelihood))
+        if exciting >= set(split.group) and len(exciting & set(split.others)) > 1:
+            known.append(name)
+    while True:
+        last, rest = chosen[-1], [name for name in known if name not in chosen]
+        after = [_conditional_test(table, split, chosen, name) for name in rest]
+        explained = {
+            r.name
+            for r in after
+            if r.own < thresholds.DIFFERS_BESIDE or r.p_value * split.tested >= thresholds.INCONSISTENT
+        }
+        first, *others = (_conditional_test(table, split, chosen[:-1], name) for name in (last, *rest))
+        least = first.likelihood + math.log(thresholds.DIFFERS_ALIKE)
+        likely = [r for r in others if r.name in explained and r.likelihood > least]
+        confounded[last] = tuple(r.name for r in sorted(likely, key=lambda r: -r.likelihood))
+        more = [r for r in after if r.name not in explained]
+        if not more:
+            break
+        chosen.append(min(more, key=lambda r: (r.p_value, -r.likelihood)).name)
+    index = np.concatenate([table.own[name] for name in chosen])
     difference = table.part(index, flights).difference(split.membership(flights))  # of one group
     size = difference.contrast[0] * table.unit[index]
     half = np.sqrt(difference.covariance[0].diagonal()) * table.unit[index]
-    half *= stdtrit(own.degrees_of_freedom, 0.975) * math.sqrt(own.mean_square)
+    differences, at = [], 0
+    for name in chosen:
+        one, own = _conditional_test(table, split, [], name), slice(at, at := at + len(table.own[name]))
+        times = stdtrit(one.degrees_of_freedom, 0.975) * math.sqrt(one.mean_square)
+        differences.append(_difference(problem, name, confounded[name], size[own], times * half[own], values))
     names = [f.name for f in problem.flights]
     return InconsistentFlights(
         flights=tuple(names[k] for k in split.group),
         others=tuple(names[k] for k in split.others),
-        differences=(_difference(problem, split.name, confounded, size, half, values),),
+        differences=tuple(differences),
         p_value=split.level,
     )
 
 
-class _SplitTest(NamedTuple):
-    """An effect as what two groups of flights differ by."""
+@dataclasses.dataclass(frozen=True)
+class _ConditionalTest:
+    """F test of one effect on a split, given the effects already chosen."""
 
     name: str
+    p_value: float
     likelihood: float  # log-likelihood, up to a constant
     mean_square: float
     degrees_of_freedom: float
+    own: float  # share of its information that is not confounded with the effects already chosen
 
 
-def _split_test(table: _FlightInformation, split: _Split, name: str) -> _SplitTest:
-    """Return how likely one effect is to be what the groups of a split differ by."""
+def _conditional_test(
+    table: _FlightInformation, split: _Split, chosen: Sequence[str], name: str
+) -> _ConditionalTest:
+    """Return the F test of one more effect as a contrast between the groups of a split."""
     flights = table.exciting(name, np.array(split.group + split.others))
     members, own = split.membership(flights), table.own[name]
-    part = table.part(own, flights)
-    gain, mean_square = float(part.difference(members).gain[0]), float(part.mean_square(members)[0])
+    part, share = table.part(own, flights), 1.0
+    gain = float(part.difference(members).gain[0])
+    if chosen:
+        before = np.concatenate([table.own[n] for n in chosen])
+        both = np.concatenate([before, own])
+        less, more = (table.part(x, flights).difference(members).gain[0] for x in (before, both))
+        # Share of its information not confounded with those chosen, by the Schur complement:
+        #   tr[a_oo^+ (a_oo - a_ob a_bb^+ a_bo)] / d
+        k, a = len(before), table.a[list(split.group)].sum(axis=0)[np.ix_(both, both)]
+        schur = a[k:, k:] - a[k:, :k] @ np.linalg.pinv(a[:k, :k]) @ a[:k, k:]
+        gain = max(0.0, float(more - less))
+        share = float(np.trace(np.linalg.pinv(a[k:, k:]) @ schur) / len(own))
+    mean_square, d = float(part.mean_square(members)[0]), len(own)
+    p_value = float(fdtrc(d, part.degrees_of_freedom, gain / d / mean_square))
     # Variance unknown (Student t):  log L = (nu + d) / 2 log(1 + gain / (nu s^2))
     nu = part.degrees_of_freedom
-    likelihood = 0.5 * (nu + len(own)) * math.log1p(gain / mean_square / nu)
-    return _SplitTest(name, likelihood, mean_square, nu)
+    likelihood = 0.5 * (nu + d) * math.log1p(gain / mean_square / nu)
+    return _ConditionalTest(name, p_value, likelihood, mean_square, nu, share)
 
 
 def _difference(
