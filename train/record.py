@@ -58,7 +58,7 @@ def new_record(config: TrainConfig) -> dict:
     }
 
 
-def run_to_resume(config: TrainConfig, given: Container[str] = ()) -> tuple[TrainConfig, dict]:
+def run_to_resume(config: TrainConfig, given: Container[str]) -> tuple[TrainConfig, dict]:
     """Return configuration and run.json of the run to resume.
 
     Time limits are those of `config`; so are the steps if it sets them, which then are the length of the run.

@@ -158,8 +158,8 @@ class Slopes:
     azimuths: np.ndarray  # (b + 1,) rad; of one cell from 0 to 0 in the plane
 
 
-def over_slopes(task: Task, steepest: float | None = None, every: int = 1) -> Slopes:
-    """Return the frozen starts of a task over slopes up to `steepest` [rad], by default the task's own.
+def over_slopes(task: Task, every: int = 1) -> Slopes:
+    """Return the frozen starts of a task over all its slopes.
 
     In the plane there are 20 cells of the inclination with 50 starts each; in space 6 cells of the
     inclination and 12 of the azimuth with 15 starts each. Angles are uniform within their cells, starts
@@ -168,8 +168,7 @@ def over_slopes(task: Task, steepest: float | None = None, every: int = 1) -> Sl
     """
     if not isinstance(task, SlopeLanding):
         raise UserError(f"the {task.name} task of this policy has one slope and does not observe it")
-    steepest = task.steepest if steepest is None else steepest
-    rng = np.random.default_rng(_SLOPES_SEED)
+    steepest, rng = task.steepest, np.random.default_rng(_SLOPES_SEED)
     if steepest is None:
         inclinations, azimuths = np.full(2, task.inclination), np.full(2, task.azimuth)
         each = _CELLS * _EACH
