@@ -27,7 +27,7 @@ from inclined_landing.eval.gap.infer.sets import confounded_with
 from inclined_landing.eval.gap.infer.touchdown_simulation import TouchdownProblem
 from inclined_landing.eval.gap.measured.landings import Landing, LandingReference, landings_of
 from inclined_landing.eval.gap.measured.usable import UsableFlights
-from inclined_landing.eval.gap.model.columns import SLAB, FittedValues, Values
+from inclined_landing.eval.gap.model.columns import FittedValues, Values
 from inclined_landing.eval.gap.result import Estimate, NamedEffect, ScoredSet, Touchdowns, marginal
 from inclined_landing.models.effects import Effect
 from inclined_landing.models.vehicle import Vehicle
@@ -274,7 +274,7 @@ class _ContactModel:
         self.parameters = [problem.library[n].parameters[0] for n in self.names]
         n = len(problem.landings)
         self.weights = np.vstack([np.ones(n), flight_weights(n)])
-        self.slab = np.array([SLAB * abs(p.coordinate(p.plausible)) for p in self.parameters])
+        self.slab = np.array([abs(p.coordinate(p.plausible)) for p in self.parameters])
         spike = [SPIKE * abs(p.coordinate(p.neutral + p.negligible)) for p in self.parameters]
         laws = [SCATTER.get(n, OF_OTHERS) for n in self.names]
         scatter = [one.referred if referred else one.alone for one in laws]

@@ -194,7 +194,8 @@ def model_error_weights(
     #   var = 1 + f^2 E,   -2 log p = sum_w q [log var + e^2 / var];   f of every channel minimises it.
     signal, error = mean_square(predicted), mean_square(errors)  # (w, C)
     variance = 1.0 + MODEL_ERRORS[:, None, None] ** 2 * signal
-    deviance = (problem.rows[:, None] * problem.logged * (np.log(variance) + error / variance)).sum(axis=1)
+    count = problem.white_count[:, None] * problem.logged
+    deviance = (count * (np.log(variance) + error / variance)).sum(axis=1)
     best = np.argmin(deviance, axis=0)
     weights = problem.logged / np.take_along_axis(variance, best[None, None], axis=0)[0]
     # A turn asks for a torque about z that is not predicted: such windows say nothing of a steady one, and
@@ -218,7 +219,7 @@ def variance_inflation(problem: Problem, values: Values) -> np.ndarray:
     # autocorrelation rho_k = sum_w x_w x_(w+k) / sum_w x_w^2 of the windows' standardised amplitudes x, and
     # the dispersion phi = chi^2 / n of a quasi-likelihood, at least 1 (McCullagh and Nelder, 9.2.4).
     white = problem.white_errors_at(values)
-    squares, count = np.zeros(problem.channels), (problem.rows[:, None] * problem.logged).sum(axis=0)
+    squares, count = np.zeros(problem.channels), (problem.white_count[:, None] * problem.logged).sum(axis=0)
     for errors, weight in zip(white, problem.split(problem.weight)):
         of_windows = weight * (errors**2).sum(axis=2)  # (w, C)
         squares += [winsorised(x) @ x for x in of_windows.T]

@@ -78,9 +78,10 @@ class Spread:
     def of(problem: Problem, linear: Linearisation) -> Spread:
         """Return the spread that the flights show, linearised at a joint fit of all effects."""
         collinear = collinearity(linear)
-        between = _between_by_em(problem, linear, _negligible_sizes(problem, linear.columns, collinear))
+        negligible = _negligible_sizes(problem, linear.columns, collinear)
+        between = _between_by_em(problem, linear, negligible)
         # A flight g counts as min(1, a_gkk between^2): as 1 where it resolves the differences.
-        sd = Spread(between, collinear).between_deviations(problem, linear.columns)
+        sd = np.maximum(BETWEEN * negligible, [between[c.key] for c in linear.columns])
         share = np.minimum(1.0, np.einsum("gkk->gk", linear.a) * sd**2).sum(axis=0)
         return Spread(between, collinear, {c.key: max(1.0, float(x)) for c, x in zip(linear.columns, share)})
 
@@ -373,10 +374,6 @@ class LinearGaussian:
         inner = a[np.ix_(its, its)] + np.linalg.inv(self.slab[np.ix_(its, its)])
         return float(b @ np.linalg.solve(inner, b)) / whole
 
-    def standard_errors(self, names: EffectSet) -> np.ndarray:
-        """Return the standard errors (P,) of delta, in spikes."""
-        return np.sqrt(np.maximum(self.change(names)[1].diagonal(), 0.0))
-
     def random_effect(self, flight: int, change: np.ndarray) -> np.ndarray:
         """Return the posterior mean (P,) of one flight's random effect (BLUP), in spikes."""
         a, b = self.flight_a[flight], self.flight_b[flight]
@@ -386,13 +383,12 @@ class LinearGaussian:
         """Return (effect, parameter) -> its errors, for the set of `values`."""
         names = frozenset(values)
         _, covariance = self.change(names)
-        variance = self.standard_errors(names) ** 2
         result = {}
         fitted = [c.key for c in self.columns if c.effect in names and isinstance(c, ParameterColumn)]
         for name, parameter in dict.fromkeys(fitted):
             # One column or, of an effect about a reference, two, of which the size is the sum
             k = [i for i, c in enumerate(self.columns) if c.key == (name, parameter)]
-            square = variance[k[0]] if len(k) == 1 else covariance[np.ix_(k, k)].sum()
+            square = covariance[np.ix_(k, k)].sum()
             p = self.candidates.parameter(self.columns[k[0]])
             unit = self.unit[k[0]] * p.slope(values[name][parameter])
             result[name, parameter] = ParameterErrors(

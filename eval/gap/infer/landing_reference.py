@@ -22,7 +22,7 @@ from inclined_landing.eval.gap.measured.landings import (
     contact_model_covariance,
     landings_of,
 )
-from inclined_landing.eval.gap.model.columns import SLAB, FittedValues
+from inclined_landing.eval.gap.model.columns import FittedValues
 from inclined_landing.eval.logs import FlightLog
 from inclined_landing.models.effects import Effect
 from inclined_landing.models.vehicle import Vehicle
@@ -56,7 +56,7 @@ def _fitted(problem: TouchdownProblem) -> list[FittedValues]:
     After these, with each of them a half-width of its interval away.
     """
     parameters = {n: e.parameters[0] for n, e in problem.library.items()}
-    slab = np.array([SLAB * abs(p.coordinate(p.plausible)) for p in parameters.values()])
+    slab = np.array([abs(p.coordinate(p.plausible)) for p in parameters.values()])
 
     def values(x: np.ndarray) -> FittedValues:
         return {n: {p.name: p.bounded(float(at))} for (n, p), at in zip(parameters.items(), x)}

@@ -34,7 +34,6 @@ FittedValues = dict[str, dict[str, float]]  # the same, a copy to change
 T = TypeVar("T")
 
 BASE = "base model"  # stands for its model errors' weights, so that values are all that a prediction needs
-SLAB = 1.0  # standard deviation of the slab, in plausible sizes
 # Covariance of a unit size at both sides: see `slab_covariance`.
 SHAPE_COVARIANCE = np.array([[0.3125, 0.1875], [0.1875, 0.3125]])
 LATE = 0.03  # s, by which a contribution may come later
@@ -385,8 +384,7 @@ def slab_deviations(candidates: Candidates, columns: Sequence[Column]) -> np.nda
     width = []
     for column in columns:
         p = candidates.parameter(column)
-        plausible = SLAB * abs(p.coordinate(p.plausible))
-        width.append(REFERENCE_ERROR * p.negligible if p.is_reference else plausible)
+        width.append(REFERENCE_ERROR * p.negligible if p.is_reference else abs(p.coordinate(p.plausible)))
     return np.array(width)
 
 

@@ -169,8 +169,8 @@ class Problem(Candidates):
         return sum(len(stretches(f.starts, f.rows, f.dt)) - 1 for f in self.flights)
 
     @property
-    def rows(self) -> np.ndarray:
-        """Return the white numbers (w,) of every window and channel."""
+    def white_count(self) -> np.ndarray:
+        """Return how many white errors (w,) every window has in a channel."""
         return np.array([f.rows - 2 for f in self.flights])[self.flight_of]
 
     def split(self, values: np.ndarray) -> list[np.ndarray]:
@@ -211,10 +211,6 @@ class Problem(Candidates):
         if self.requested:
             return Variation(max(known.manoeuvre, known.placement), known.placement, known.step)
         return Variation(known.manoeuvre, 0.0, known.step)
-
-    def white_errors(self, vehicles: Sequence[Vehicle]) -> list[np.ndarray]:
-        """Return the white errors (w, C, q) of every flight, each with its vehicle."""
-        return two_at_a_time(lambda f, v: _whitened(f, predict(f, v)), self.flights, vehicles)
 
     def white_errors_at(self, values: Values) -> list[np.ndarray]:
         """Return the white errors (w, C, q) of every flight with effects at `values`."""
@@ -308,14 +304,14 @@ class Problem(Candidates):
             self._add_to_grams(k, stack, grams)
 
         two_at_a_time(add, range(len(self.flights)))  # no two flights are in one group
-        flight_of = np.array([self.flight_of[self.group_of == g][0] for g in range(self.groups)])
+        flight_of_group = np.array([self.flight_of[self.group_of == g][0] for g in range(self.groups)])
         return Linearisation(
             values,
             tuple(columns),
             a=grams[:, 1:, 1:],
             b=grams[:, 1:, 0],
             c=grams[:, 0, 0],
-            flight_of=flight_of,
+            flight_of_group=flight_of_group,
         )
 
     def _add_to_grams(self, k: int, stack: np.ndarray, grams: np.ndarray) -> None:
@@ -421,7 +417,7 @@ class Linearisation:
     a: np.ndarray  # (g, P, P)
     b: np.ndarray  # (g, P)
     c: np.ndarray  # (g,) squared errors
-    flight_of: np.ndarray  # (g,) flight of every group
+    flight_of_group: np.ndarray  # (g,)
 
     def along(self, columns: Sequence[Column]) -> Linearisation:
         """Return the linearisation along some of its columns."""
@@ -432,10 +428,10 @@ class Linearisation:
 
     def by_flight(self) -> tuple[np.ndarray, np.ndarray]:
         """Return a (f, P, P) and b (f, P) summed over the groups of every flight."""
-        flights = int(self.flight_of.max()) + 1
+        flights = int(self.flight_of_group.max()) + 1
         a, b = np.zeros((flights, *self.a.shape[1:])), np.zeros((flights, self.b.shape[1]))
-        np.add.at(a, self.flight_of, self.a)
-        np.add.at(b, self.flight_of, self.b)
+        np.add.at(a, self.flight_of_group, self.a)
+        np.add.at(b, self.flight_of_group, self.b)
         return a, b
 
     def predicted_squares(self, change: np.ndarray) -> float:

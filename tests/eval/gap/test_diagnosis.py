@@ -105,7 +105,7 @@ def test_errors_of_the_true_model_are_white(matched):
     """Unit variance in every channel within 10 %: 4 flights of 13 windows and 58 numbers scatter by 3 %."""
     prepared = [prepare(log, VEHICLE) for log in matched]
     problem = Problem.of(prepared, VEHICLE, LIBRARY)
-    white = np.concatenate(problem.white_errors([VEHICLE] * len(prepared)))
+    white = np.concatenate(problem.white_errors_at({}))
     assert (white**2).mean(axis=(0, 2)) == pytest.approx(1.0, abs=0.1)
 
 

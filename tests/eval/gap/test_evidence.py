@@ -99,7 +99,7 @@ def test_errors_larger_than_the_noise_model_says_count_as_what_they_are():
 
     costs = [judged(times).squares_by_channel({}) for times in (9.0, 36.0)]
     assert costs[1] == pytest.approx(costs[0])
-    assert (costs[0] <= problem.rows.sum() + 1e-6).all()  # a mean square of 1
+    assert (costs[0] <= problem.white_count.sum() + 1e-6).all()  # a mean square of 1
     assert judged(0.01).inflation == pytest.approx(judged(0.04).inflation)
 
 
@@ -310,8 +310,10 @@ def test_the_form_of_the_model_errs_by_a_share_of_the_motion():
     moved = [np.outer(np.sin(2 * np.pi * (0.5 + 0.1 * k) * t), np.full(6, 0.3 * (k > 2))) for k in range(6)]
     wrong = [f.measured - [0, 0, 1, 0, 0, 0] + 0.05 * m for f, m in zip(flights, moved)]
     count = sum(len(f.starts) for f in flights)
-    rows = np.concatenate([np.full(len(f.starts), f.rows - 2) for f in flights])
-    problem = types.SimpleNamespace(flights=flights, rows=rows, logged=np.ones((count, 6)), requested=False)
+    white = np.concatenate([np.full(len(f.starts), f.rows - 2) for f in flights])
+    problem = types.SimpleNamespace(
+        flights=flights, white_count=white, logged=np.ones((count, 6)), requested=False
+    )
     weight = model_error_weights(problem, moved, wrong)
     rests = np.arange(count) < count // 2
     white = [f.whitening(f.cut(e)) for f, e in zip(flights, wrong)]
