@@ -146,7 +146,7 @@ def named_effects(
         is_loop = name in lags
         names = lags if is_loop else (name,)
         parameters = {"response": sizes.response(found, values, lags)} if is_loop else estimates[name]
-        classes = (equivalence_class(found, n) for n in names)
+        classes = ((*equivalence_class(found, n), *_predicting_as_well(found, values, n)) for n in names)
         members = tuple(dict.fromkeys(itertools.chain(*classes)))
         costs_enough = least_cost == 0.0 or costs[name] > least_cost
         result.append(
@@ -163,6 +163,25 @@ def named_effects(
             )
         )
     return tuple(result)
+
+
+def _predicting_as_well(found: SetPosterior, values: Values, name: str) -> list[str]:
+    """Return the effects that predict flights left out as well as a nonlinear one does.
+
+    A load on a string is a mass where no swing shows. Otherwise a load of 1 g would be sure, and wrong,
+    next to upgraded motors (crazyswarm2-tools).
+    """
+    effect = found.problem.library[name]
+    judged_by = selection.judged_by(effect)
+    if not judged_by or all(p.linear for p in effect.parameters):
+        return []
+    result, here = [], selection.fitted_to_others(found, frozenset(values)).pose_errors[judged_by]
+    for other in effect.confused_with:
+        if other in found.problem.library and other not in values:
+            instead = selection.fitted_to_others(found, frozenset(values) - {name} | {other})
+            if (instead.pose_errors[judged_by] <= here).all():
+                result.append(other)
+    return result
 
 
 def _doubt(problem: Problem, name: str, too_small: bool) -> str:
