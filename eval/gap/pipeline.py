@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import dataclasses
 import itertools
 from collections.abc import Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor
@@ -23,7 +22,7 @@ from inclined_landing.eval.gap.measured.windows import MeasuredFlight
 from inclined_landing.eval.gap.model.columns import Candidates, Values
 from inclined_landing.eval.gap.model.problem import Problem, identifiable_effects
 from inclined_landing.eval.gap.model.reference import VehiclePosterior
-from inclined_landing.eval.gap.result import Diagnosis, NamedEffect, ScoredSet, cost_beyond_doubt
+from inclined_landing.eval.gap.result import Diagnosis, NamedEffect, Remaining, ScoredSet
 from inclined_landing.eval.logs import FlightLog
 from inclined_landing.eval.logs.limits import LEAST_RATE
 from inclined_landing.models.base.errors import first_of
@@ -85,12 +84,9 @@ def diagnose(
     with ThreadPoolExecutor(1) as beside:  # whose thread analyses the residual while MuJoCo flies
         analysis = beside.submit(analyse_residual, found, correction.vehicle)
         ahead = selection.open_loop_errors(found, correction, usable.judged, values, plants)
-    gap, residual = ahead.gap.get("analytic"), analysis.result()
-    if gap is not None:
-        residual = dataclasses.replace(residual, error=gap.after)
     reference_errors = reference.errors if reference else None
-    least_cost = cost_beyond_doubt(residual, gap, reference_errors)
-    effects = named_effects(found, values, ahead.costs, least_cost)
+    remaining = Remaining(analysis.result(), ahead.gap.get("analytic"), reference_errors)
+    effects = named_effects(found, values, ahead.costs, remaining)
     landings = reference.landings if reference else None
     contact = contact_answer(usable, correction.vehicle, candidates, landings)
 
@@ -104,7 +100,7 @@ def diagnose(
         sets=contact.sets(scored_sets(found)),
         touchdowns=contact.posterior.touchdowns if contact.posterior else None,
         disturbance=sizes.disturbances(found.problem),
-        residual=residual,
+        residual=remaining.residual,
         gap=ahead.gap,
         platform=usable.platform,
         flights=tuple(f.name for f in usable.fitted),
@@ -129,12 +125,11 @@ def probable_sets(
 
 
 def named_effects(
-    found: SetPosterior, values: Values, costs: Mapping[str, float], least_cost: float
+    found: SetPosterior, values: Values, costs: Mapping[str, float], remaining: Remaining
 ) -> tuple[NamedEffect, ...]:
     """Return the named effects with estimates, in the order of `values`.
 
-    costs [m]: the error one second ahead that each accounts for. least_cost [m]: an effect that costs no more
-    is in doubt; 0: none is for its cost, which may be unknown.
+    costs [m]: the error one second ahead that each accounts for; NaN: not known.
     """
     problem, library = found.problem, found.problem.library
     gains = selection.squared_error_shares(problem, values)
@@ -148,7 +143,6 @@ def named_effects(
         parameters = {"response": sizes.response(found, values, lags)} if is_loop else estimates[name]
         classes = ((*equivalence_class(found, n), *_predicting_as_well(found, values, n)) for n in names)
         members = tuple(dict.fromkeys(itertools.chain(*classes)))
-        costs_enough = least_cost == 0.0 or costs[name] > least_cost
         result.append(
             NamedEffect(
                 name=name,
@@ -158,7 +152,7 @@ def named_effects(
                 gain=max(gains[n] for n in names),
                 remedy=library[LOOP if is_loop else name].remedy,
                 cost=costs[name],
-                doubt=_doubt(problem, name, not costs_enough),
+                doubt=_doubt(problem, name, remaining.doubts(costs[name])),
                 parts={n: dict(values[n]) for n in lags} if is_loop else {},
             )
         )

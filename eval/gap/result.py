@@ -125,32 +125,6 @@ class ResidualAnalysis:
 
     p_value: float  # of the largest gain of all functions (permutation test)
     depends_on: tuple[Dependence, ...]  # significant functions, one per channel, most significant first
-    error: float = math.nan  # m, remaining position error one second ahead, root mean square
-
-    def material(self, one: Dependence) -> bool:
-        """Return whether a function surely moves the vehicle, by a share MATERIAL of the squared error.
-
-        A function of the heading never does.
-        """
-        if one.channel == "yaw" or not math.isfinite(self.error):
-            return one.channel != "yaw"
-        surely = one.displacement_ci95[0] > 0.0
-        return surely and one.displacement**2 >= thresholds.MATERIAL * self.error**2
-
-    @property
-    def material_functions(self) -> list[Dependence]:
-        """Return the significant functions that are material."""
-        return [one for one in self.depends_on if self.material(one)]
-
-    @property
-    def unexplained(self) -> bool:
-        """Return whether a material function of the residual is significant."""
-        return bool(self.material_functions)
-
-    @property
-    def repeating(self) -> float:
-        """Return the displacement [m] within a second by the largest material function; 0 for none."""
-        return max((one.displacement for one in self.material_functions), default=0.0)
 
 
 @dataclasses.dataclass(frozen=True)
@@ -254,26 +228,74 @@ class ErrorGrowth:
     floor: np.ndarray  # of noise alone
 
 
-def cost_beyond_doubt(
-    residual: ResidualAnalysis, gap: PlantGap | None, reference: ReferenceErrors | None
-) -> float:
-    """Return the error [m] one second ahead that a name must account for to be sure; 0: any, inf: none is.
+@dataclasses.dataclass(frozen=True)
+class Remaining:
+    """How much of the position error one second ahead that the names leave repeats from flight to flight.
 
-    No name is sure if the error that remains with all of them is much larger than that of the reference
-    flights, or if most of it repeats from flight to flight. But what repeats may be the identified vehicle's
-    own error, if what remains does not exceed that and it is small compared with the error before: then
-    effects that account for more than it are sure.
+    The first of these lines that holds says which names are in doubt, whatever their probability. The errors
+    are those before and after the correction, and that of the reference flights:
+
+        after > MUCH_LARGER reference                         every name
+        repeating^2 <= MOSTLY after^2                         none
+        after <= reference, reference^2 <= MATERIAL before^2  those that cost up to repeating / sqrt(MOSTLY)
+        otherwise                                             every name
+
+    In the third, what repeats may be the identified vehicle's own error.
     """
-    if gap is None:
-        return math.inf if residual.unexplained else 0.0
-    if reference and gap.after > thresholds.MUCH_LARGER * max(reference.error, gap.floor):
-        return math.inf
-    # Both thresholds are shares of a squared error, so that their roots are shares of an error.
-    if residual.repeating**2 <= thresholds.MOSTLY * gap.after**2:
-        return 0.0
-    if reference and gap.after <= reference.error <= math.sqrt(thresholds.MATERIAL) * gap.before:
-        return residual.repeating / math.sqrt(thresholds.MOSTLY)
-    return math.inf
+
+    residual: ResidualAnalysis
+    gap: PlantGap | None  # None: not measured
+    reference: ReferenceErrors | None
+
+    @property
+    def functions(self) -> list[Dependence]:
+        """Return the significant functions that surely move the vehicle, by MATERIAL of the squared error.
+
+        Those of the heading never do; where the error was not measured, all others do.
+        """
+        found = [one for one in self.residual.depends_on if one.channel != "yaw"]
+        if not math.isfinite(self.error):
+            return found
+        least = thresholds.MATERIAL * self.error**2
+        return [one for one in found if one.displacement_ci95[0] > 0.0 and one.displacement**2 >= least]
+
+    @property
+    def error(self) -> float:
+        """Return the error [m] that remains, root mean square; NaN if it was not measured."""
+        return self.gap.after if self.gap else math.nan
+
+    @property
+    def repeating(self) -> float:
+        """Return the displacement [m] within a second by the largest material function; 0 for none."""
+        return max((one.displacement for one in self.functions), default=0.0)
+
+    @property
+    def is_mostly_chance(self) -> bool:
+        """Return whether at most a share MOSTLY of the squared error repeats; if not measured, nothing."""
+        return self.repeating**2 <= thresholds.MOSTLY * self.error**2 if self.gap else not self.functions
+
+    @property
+    def within_reference(self) -> bool:
+        """Return whether it does not exceed the error of the reference flights."""
+        return self.reference is not None and self.error <= self.reference.error
+
+    def exceeds_reference(self, times: float) -> bool:
+        """Return whether it is more than so many times the error of the reference flights."""
+        if self.gap is None or self.reference is None:
+            return False
+        return self.error > times * max(self.reference.error, self.gap.floor)
+
+    def doubts(self, cost: float) -> bool:
+        """Return whether it casts doubt on a name that accounts for an error `cost` [m]; inf: on all."""
+        if self.exceeds_reference(thresholds.MUCH_LARGER):
+            return True
+        if self.is_mostly_chance:
+            return False
+        if self.gap and self.reference and self.within_reference:
+            # Both thresholds are shares of a squared error, so that their roots are shares of an error.
+            if self.reference.error <= math.sqrt(thresholds.MATERIAL) * self.gap.before:
+                return not cost > self.repeating / math.sqrt(thresholds.MOSTLY)
+        return True
 
 
 @dataclasses.dataclass(frozen=True)
@@ -312,18 +334,20 @@ class Diagnosis:
     def verdict(self) -> Verdict:
         """Return the verdict: the first of these that holds.
 
-        - `unknown`: the landings, or the flights (`repeats`), repeat an error that no name explains.
+        - `unknown`: the landings repeat an error, or the flights a larger one than the names explain. Where
+          no more is left than in the reference flights, most must repeat: less may be the reference's own.
         - With names, `unknown` if they leave so much that none can be sure, else `effects`.
         - `undecided`: one of the effects that matter is probably missing.
         - `unknown`: the error exceeds that of the reference flights.
         - `nothing`.
         """
         landings_repeat = self.touchdowns is not None and self.touchdowns.unexplained
-        if landings_repeat or self.repeats:
+        left = self.remaining
+        may_be_the_references = left.within_reference and left.is_mostly_chance
+        if landings_repeat or (left.repeating > self.explained and not may_be_the_references):
             return "unknown"
         if self.effects:
-            least = cost_beyond_doubt(self.residual, self.ahead, self.reference)
-            return "unknown" if math.isinf(least) else "effects"
+            return "unknown" if left.doubts(math.inf) else "effects"
         if self.undecided:
             return "undecided"
         return "unknown" if self.larger_error else "nothing"
@@ -334,18 +358,9 @@ class Diagnosis:
         return self.gap.get("analytic")
 
     @property
-    def repeats(self) -> bool:
-        """Return whether the flights repeat an error that is larger than the named effects explain.
-
-        If the error that remains does not exceed that of the reference flights, most of it must repeat, as
-        less may be the reference's own error.
-        """
-        repeating, ahead = self.residual.repeating, self.ahead
-        if not repeating > self.explained:
-            return False
-        if self.reference and ahead and ahead.after <= self.reference.error:
-            return repeating**2 > thresholds.MOSTLY * ahead.after**2  # a share of a squared error
-        return self.residual.unexplained
+    def remaining(self) -> Remaining:
+        """Return how much of the error one second ahead that the names leave repeats."""
+        return Remaining(self.residual, self.ahead, self.reference)
 
     @property
     def explained(self) -> float:
@@ -361,9 +376,7 @@ class Diagnosis:
     @property
     def larger_error(self) -> bool:
         """Return whether the error that remains exceeds that of the reference flights."""
-        if self.reference is None or self.ahead is None:
-            return False
-        return self.ahead.after > thresholds.LARGER_ERROR * max(self.reference.error, self.ahead.floor)
+        return self.remaining.exceeds_reference(thresholds.LARGER_ERROR)
 
     def probability(self, *names: str) -> float:
         """Return the marginal probability that at least one of some effects is missing."""
@@ -380,7 +393,7 @@ class Diagnosis:
 
         They are directions in which the flights show little.
         """
-        least = thresholds.MATERIAL * self.residual.error**2
+        least = thresholds.MATERIAL * self.remaining.error**2
         return frozenset(name for name, moved in self.displacements.items() if moved**2 < least)
 
     @property
@@ -401,8 +414,9 @@ class Diagnosis:
         record = plain({name: value for name, value in vars(self).items() if name not in _NOT_IN_REPORT})
         for entry, effect in zip(record["effects"], self.effects):
             entry["sure"] = effect.sure
-        record["residual"]["unexplained"] = self.residual.unexplained
+        error, functions = self.remaining.error, self.remaining.functions
+        record["residual"] |= {"error": error, "unexplained": bool(functions)}
         for entry, one in zip(record["residual"]["depends_on"], self.residual.depends_on):
-            entry["material"] = self.residual.material(one)
+            entry["material"] = one in functions
         head = {"version": VERSION, "verdict": self.verdict, "nothing": self.nothing}
         return head | {"possible": self.possible, "immaterial": sorted(self.immaterial)} | record

@@ -210,9 +210,9 @@ def _nameless(d: Diagnosis) -> str:
         return f"Undecided: the model may lack {with_probabilities(d.undecided)}."
     before = centimetres(d.reference.error) if d.reference else ""
     larger = "the error is larger than in the reference flights, "
-    larger += f"{centimetres(d.residual.error)} for {before} one second ahead"
+    larger += f"{centimetres(d.remaining.error)} for {before} one second ahead"
     if d.verdict == "unknown":
-        if d.residual.unexplained or not d.larger_error:
+        if d.remaining.functions or not d.larger_error:
             return f"{_UNEXPLAINED[0].upper()}{_UNEXPLAINED[1:]}."
         return f"No effect is named: {larger}, as if the air were moving."
     how = f" ({probability(d.nothing)})" if d.nothing >= 0.5 else ""
@@ -244,7 +244,7 @@ def how_much(d: Diagnosis) -> str:
         ratio, ends = d.thrust_over_weight
         times = f"{rounded(ratio, ends, '1')} times the modelled one ({interval(ends, '1')})"
         lines.append(f"With the named effects, thrust over weight is {times} at the flights' usual command.")
-    if material := d.residual.material_functions:
+    if material := d.remaining.functions:
         most = max(material, key=lambda one: one.displacement)
         repeats = f"Of the remaining error, {centimetres(most.displacement)} repeats from flight to flight"
         lines.append(f"{repeats}: {axis(most)}, depending on {most.on}.")
@@ -274,7 +274,7 @@ def answers(d: Diagnosis) -> list[Answer]:
         cost = centimetres(e.cost) if math.isfinite(e.cost) else ""
         text = " ".join(filter(None, [sentence(e), confounding_sentence(d, e), e.doubt, remedy(e)]))
         found.append(Answer(title(e), how_sure(e), size_rows(e), cost, text))
-    for one in d.residual.material_functions:
+    for one in d.remaining.functions:
         size, ends = quantity(one.displacement, "m"), interval(one.displacement_ci95, "m")
         found.append(
             Answer(

@@ -164,8 +164,8 @@ def test_what_no_effect_explains_is_said():
         return np.array([u[0], *angles, u[3]])
 
     d = quick(flights(distort=dead_zone, seed=5, count=3, seconds=6.0))
-    assert d.verdict == ("effects" if d.explained > d.residual.repeating else "unknown")
-    assert d.residual.unexplained and "repeats from flight to flight" in how_much(d)
+    assert d.verdict == ("effects" if d.explained > d.remaining.repeating else "unknown")
+    assert d.remaining.functions and "repeats from flight to flight" in how_much(d)
     assert {"tilt", "commands", "tilt commands and their past"} & {x.on for x in d.residual.depends_on}
     assert {"roll", "pitch"} & {x.channel for x in d.residual.depends_on}
 

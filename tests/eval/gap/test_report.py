@@ -32,7 +32,6 @@ from inclined_landing.eval.gap.result import (
     ReferenceErrors,
     ResidualAnalysis,
     ScoredSet,
-    cost_beyond_doubt,
 )
 from inclined_landing.models import effects
 from inclined_landing.models.base import storage
@@ -84,7 +83,7 @@ def example(verdict="effects"):
             "z": Disturbance(0.001, 0.3, (0.2, 0.4), 0.25, (0.1, 0.4), "m/s2"),
             "roll": Disturbance(0.005, 0.0, (0.0, 0.0), 0.3, (0.3, 0.3), "rad/s2"),
         },
-        residual=ResidualAnalysis(0.002, (left,) if verdict == "unknown" else (), after),
+        residual=ResidualAnalysis(0.002, (left,) if verdict == "unknown" else ()),
         gap={
             "analytic": PlantGap(0.487, after, 0.01, 30),
             "mujoco": PlantGap(0.486, after + 0.001, 0.01, 30),
@@ -110,13 +109,14 @@ def track():
 
 def test_what_repeats_matters_by_the_second_that_it_moves():
     """A share of the squared error a second ahead; where that was not measured, all but the heading."""
-    left = example("unknown").residual
-    (one,) = left.depends_on
-    assert left.unexplained and not dataclasses.replace(left, error=1.0).unexplained
-    assert dataclasses.replace(left, error=float("nan")).unexplained
+    d = example("unknown")
+    (one,) = d.residual.depends_on
+    assert d.remaining.functions and not left(d, 1.0).remaining.functions
+    unmeasured = dataclasses.replace(d.remaining, gap=None)
+    assert unmeasured.functions and unmeasured.doubts(np.inf)
     heading = dataclasses.replace(one, channel="yaw", displacement=0.0)
-    assert not dataclasses.replace(left, depends_on=(heading,), error=float("nan")).unexplained
-    assert left.material(one) and not left.material(heading)
+    only = dataclasses.replace(unmeasured, residual=ResidualAnalysis(0.002, (heading,)))
+    assert not only.functions and not only.doubts(float("nan"))
 
 
 ALIKE = ReferenceErrors(0.35, 0.01, example().disturbance)  # 1.4 times as large: the error before
@@ -125,8 +125,7 @@ ALIKE = ReferenceErrors(0.35, 0.01, example().disturbance)  # 1.4 times as large
 def left(d, after, **changes):
     """The diagnosis with this error one second ahead left, in the equations."""
     gap = {"analytic": dataclasses.replace(d.gap["analytic"], after=after)}
-    residual = dataclasses.replace(changes.pop("residual", d.residual), error=after)
-    return dataclasses.replace(d, gap=gap, residual=residual, **changes)
+    return dataclasses.replace(d, gap=gap, **changes)
 
 
 def test_nothing_is_said_where_the_errors_are_those_of_the_reference():
@@ -186,11 +185,10 @@ def test_unknown_stands_beside_names_where_much_repeats():
     ):
         assert case.verdict == verdict
     own = repeating(0.09, 0.1, reference=0.105)  # effects of less than 9 cm / sqrt(1/2) are in doubt
-    assert cost_beyond_doubt(own.residual, own.ahead, own.reference) == pytest.approx(0.127, abs=5e-4)
-    assert cost_beyond_doubt(own.residual, own.ahead, None) == np.inf
+    assert own.remaining.doubts(0.127) and not own.remaining.doubts(0.128)
+    assert dataclasses.replace(own.remaining, reference=None).doubts(np.inf)
     past = dataclasses.replace(one, channel="roll", on="commands", displacement=0.05)
-    residual = dataclasses.replace(d.residual, depends_on=(past,), error=0.1)
-    text = words.how_much(dataclasses.replace(d, residual=residual))
+    text = words.how_much(left(d, 0.1, residual=dataclasses.replace(d.residual, depends_on=(past,))))
     assert "5.0 cm repeats from flight to flight: in roll, depending on commands." in text
 
 
