@@ -68,7 +68,6 @@ def identification_page(word: str) -> str:
         reference=VehiclePosterior.of_file(None, load_vehicle()),
         parameters=(row,),
         identifiable=(),
-        fit={"x": {"before": 50.0, "after": 90.0}},
         ahead={},
         regimes={},
         kept=(),
