@@ -1,4 +1,4 @@
-"""What one flight is to do: land by a policy, or follow a planned flight, which is checked before."""
+"""Define what one flight does: it lands by a policy, or follows a planned flight that was checked before."""
 
 from __future__ import annotations
 
@@ -72,7 +72,7 @@ def read_planned(path: Path, around: Surroundings) -> Trajectory:
     distances = around.distances(states[::_CHECKED]).min(axis=1)
     if distances.min() < LEAST_CLEARANCE:
         k = int(np.argmax(distances < LEAST_CLEARANCE))
-        hint = "; if there is no platform, add --no-platform" if around.present else ""
+        hint = "; without a platform, add --no-platform" if around.present else ""
         raise UserError(
             f"{where} comes closer than {100 * LEAST_CLEARANCE:g} cm to the platform or floor after "
             f"{r.t[_CHECKED * k]:.1f} s{hint}"

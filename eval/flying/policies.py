@@ -1,4 +1,4 @@
-"""What flies for the pilot, from an estimated state to a command: policies, or the controller of a plan."""
+"""Fly for the pilot, from an estimated state to a command, by a policy or by the controller of a plan."""
 
 from __future__ import annotations
 

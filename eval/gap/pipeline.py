@@ -73,9 +73,8 @@ def diagnose(
         searched = probable_sets(usable.fitted, vehicle, candidates, reference)
     inconsistent = inconsistent_flights(searched.problem, searched.linear)
 
-    # Which effects are named? Those that matter and predict flights left out, and of these those that have a
-    # firm size or show one second ahead. From here on the posterior is the one linearised where these effects
-    # are.
+    # Which effects are named? An effect has to matter, to predict flights left out, and to have a firm size
+    # or to show one second ahead. From here on the posterior is the one linearised at their values.
     useful = selection.useful_values(searched, selection.probable_names(searched))
     found, values = selection.distinct_values(searched, useful)
 

@@ -93,7 +93,7 @@ def test_a_platform_follows_its_motion_under_a_hard_touchdown(integrator):
 
 
 def test_how_quickly_platforms_stray_from_a_steady_path_is_bounded():
-    """Of every corner of the slab, within a control period, by `most`."""
+    """`most` bounds how far each corner of the slab strays within a control period."""
     rng, n = np.random.default_rng(6), 40
     moves = Motion(
         rng.normal(size=(n, 3)), *rng.uniform(0.0, [[[[0.1]]], [[[6.0]]], [[[7.0]]]], (3, n, 6, 2))

@@ -294,7 +294,7 @@ def test_the_contract_alone_tells_what_the_vectors_hold(exported, name):
         np.testing.assert_allclose(table["observations"][:, k], states[word], rtol=1e-6, atol=1e-6)
 
 
-# What would end or begin a C comment, be a trigraph for a backslash, or continue a line.
+# Names with these would end or begin a C comment, contain a trigraph for a backslash, or continue a line.
 HOSTILE = "harmless */ int x; /* y *?/ int z; ??/", "a\nb */ int x; \u202e", "*??/\\"
 
 

@@ -83,7 +83,7 @@ CASES = (
 
 @dataclasses.dataclass(frozen=True)
 class Truth:
-    """What the world knows of one flight; times [s] are the world's."""
+    """Record what the world knows of one flight; times [s] are the world's."""
 
     goal: float | None  # when it was in the goal box first
     touched: float | None  # when it touched the platform first

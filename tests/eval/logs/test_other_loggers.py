@@ -245,7 +245,7 @@ def test_nanobench_is_turned_into_si_units_and_the_documented_frame(tmp_path):
 
 @pytest.mark.parametrize("name", ["utias_fmpc", "utias_fmpc_original"])
 def test_motion_capture_of_utias_is_taken_not_the_estimate(tmp_path, name):
-    """Whatever columns of the documented CSV, which are the vehicle's estimate, stand beside it."""
+    """Columns of the documented CSV, which are the vehicle's estimate, may stand next to it."""
     known = mapping.shipped()[name]
     t, x, z, pwm = (known.columns[key] for key in ("t", "x", "z", "cmd_thrust_pwm"))
     given = {t: 5.0 + 0.02 * np.arange(300), x: wave(0.1), z: 1.0 + wave(0.1), pwm: 40000.0 + wave(9.0)}
